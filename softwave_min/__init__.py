@@ -1,0 +1,1 @@
+"""A planar soft arm in waves: the model, the controllers and the experiments."""

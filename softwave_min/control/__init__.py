@@ -1,0 +1,1 @@
+"""The controllers, and what they are told of the sea."""

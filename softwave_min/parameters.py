@@ -1,0 +1,304 @@
+"""Typed, validated parameter sets, loaded from the files in ``data/``.
+
+Every value is SI. A set is a tree of frozen dataclasses; each field declares its
+type and its range once, and pydantic enforces both when a set is made, from a
+file or in code.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, TypeVar
+
+from pydantic import ConfigDict, Field, Strict, TypeAdapter, ValidationError, model_validator
+from pydantic.dataclasses import dataclass
+
+__all__ = [
+    "ArmParameters",
+    "BaselineParameters",
+    "FluidParameters",
+    "NmpcParameters",
+    "ParameterError",
+    "ParameterSet",
+    "PreviewParameters",
+    "SeaParameters",
+    "SimulationParameters",
+    "data_folder",
+    "load_parameters",
+    "read_toml",
+    "validate",
+]
+
+T = TypeVar("T")
+
+Real = Annotated[float, Strict(), Field(allow_inf_nan=False)]
+Positive = Annotated[float, Strict(), Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Strict(), Field(ge=0, allow_inf_nan=False)]
+Count = Annotated[int, Strict(), Field(ge=1)]
+Seed = Annotated[int, Strict(), Field(ge=0)]
+Angle = Annotated[float, Strict(), Field(ge=-2 * math.pi, le=2 * math.pi, allow_inf_nan=False)]
+Vector = Annotated[tuple[Real, ...], Field(min_length=1)]
+PositiveVector = Annotated[tuple[Positive, ...], Field(min_length=1)]
+NonNegativeVector = Annotated[tuple[NonNegative, ...], Field(min_length=1)]
+
+_FROZEN = ConfigDict(extra="forbid")
+
+
+class ParameterError(ValueError):
+    """A parameter is missing, unknown, of the wrong type or out of range."""
+
+
+@dataclass(frozen=True, config=_FROZEN)
+class ArmParameters:
+    """A planar arm of constant-curvature segments; one entry per segment, base first."""
+
+    length: PositiveVector
+    """Arc length of each segment, L, in m."""
+    diameter: PositiveVector
+    """Diameter of the cross-section, d_s, in m."""
+    density: PositiveVector
+    """Density of the body, rho_s, in kg/m^3."""
+    stiffness: NonNegativeVector
+    """Bending stiffness k of each segment's angle, in N m/rad."""
+    damping: NonNegativeVector
+    """Passive damping of each segment's angle, in N m s/rad."""
+    base_position: tuple[Real, Real]
+    """Position (x, z) of the base, in m; z is measured up from the mean surface."""
+    base_angle: Angle
+    """Direction of the base tangent, counter-clockwise from +x, in rad."""
+    quadrature_points: Annotated[int, Strict(), Field(ge=2, le=16)]
+    """Gauss-Legendre points on each segment for mass, buoyancy and fluid load."""
+    rotary_inertia: bool
+    """Whether the rotation of the cross-sections carries kinetic energy."""
+
+    @model_validator(mode="after")
+    def _one_entry_per_segment(self) -> Self:
+        per_segment = ("length", "diameter", "density", "stiffness", "damping")
+        counts = {name: len(getattr(self, name)) for name in per_segment}
+        if len(set(counts.values())) > 1:
+            found = ", ".join(f"{name} {count}" for name, count in counts.items())
+            raise ValueError(f"as many entries as segments in each of: {found}")
+        return self
+
+    @property
+    def segments(self) -> int:
+        """Number of segments, n."""
+        return len(self.length)
+
+
+@dataclass(frozen=True, config=_FROZEN)
+class FluidParameters:
+    """The water and the coefficients of the Morison load."""
+
+    density: NonNegative
+    """Density of the water, rho_f, in kg/m^3 (0: the arm in a vacuum)."""
+    gravity: Positive
+    """Acceleration of gravity g, in m/s^2."""
+    inertia_coefficient: Annotated[float, Strict(), Field(ge=1, le=3, allow_inf_nan=False)]
+    """C_m = 1 + C_a, dimensionless."""
+    drag_coefficient: NonNegative
+    """Normal drag C_d, dimensionless."""
+    friction_coefficient: NonNegative
+    """Tangential drag C_f, dimensionless."""
+    morison: Literal["paper", "textbook"]
+    """'paper': C_m on the body's acceleration, no fluid acceleration, C_f on the
+    frontal area d_s L. 'textbook': C_a on the body's acceleration, C_m on the
+    fluid's, C_f on the wetted area pi d_s L."""
+
+
+@dataclass(frozen=True, config=_FROZEN)
+class SeaParameters:
+    """A random sea: its spectrum and how it is sampled."""
+
+    significant_height: NonNegative
+    """H_s = 4 sqrt(m_0), in m."""
+    peak_period: Positive
+    """T_p, in s."""
+    peak_enhancement: Annotated[float, Strict(), Field(ge=1, le=10, allow_inf_nan=False)]
+    """JONSWAP's gamma, dimensionless."""
+    depth: Positive
+    """Water depth d, in m."""
+    components: Count
+    """Number of wave components N."""
+    lowest_frequency_hz: Positive
+    """Lower edge of the band that is sampled, in Hz."""
+    highest_frequency_hz: Positive
+    """Upper edge of the band that is sampled, in Hz."""
+    seed: Seed
+    """Seed of the random phases."""
+
+    @model_validator(mode="after")
+    def _band_is_ascending(self) -> Self:
+        if self.lowest_frequency_hz >= self.highest_frequency_hz:
+            raise ValueError("lowest_frequency_hz below highest_frequency_hz")
+        return self
+
+
+@dataclass(frozen=True, config=_FROZEN)
+class BaselineParameters:
+    """Feed-forward + PD with the kinematic planner."""
+
+    proportional_gain: NonNegativeVector
+    """Diagonal of alpha, in N m/rad."""
+    derivative_gain: NonNegativeVector
+    """Diagonal of beta, in N m s/rad."""
+    task_gain: Positive
+    """Planner gain K_e, in 1/s."""
+    damping: NonNegative
+    """Damping of the planner's pseudo-inverse, in m (0: Moore-Penrose)."""
+    initial_bend: Angle
+    """Bend given to every segment of the planner's first posture, towards the
+    target, in rad: the straight arm is singular."""
+
+
+@dataclass(frozen=True, config=_FROZEN)
+class NmpcParameters:
+    """The optimal control problem of the paper and how it is solved."""
+
+    control_period: Positive
+    """Time between two inputs, Delta t, in s."""
+    horizon: Annotated[int, Strict(), Field(ge=1, le=200)]
+    """Number of control periods looked ahead, K."""
+    tip_weight: Positive
+    """Q = tip_weight * I on the tip error, in 1/m^2."""
+    step_weight: Positive
+    """R = step_weight * I on the change of the commanded angles, in 1/rad^2."""
+    terminal_weight: NonNegative
+    """Weight of the last predicted tip error, as a multiple of Q. The paper
+    prints a sum to K - 1, hence 0."""
+    angle_bound: Annotated[float, Strict(), Field(gt=0, le=2 * math.pi, allow_inf_nan=False)]
+    """Bound on every commanded angle, |q_bar_i|, in rad."""
+    substeps: Annotated[int, Strict(), Field(ge=1, le=64)]
+    """Steps of the predictor's integrator per control period."""
+    max_iterations: Annotated[int, Strict(), Field(ge=1, le=1000)]
+    """Most Gauss-Newton steps per solve."""
+    tolerance: Positive
+    """A solve has converged when its last step is shorter than this, in rad."""
+
+
+@dataclass(frozen=True, config=_FROZEN)
+class PreviewParameters:
+    """What the controller is told of the coming sea."""
+
+    noise: Literal["none", "decibel", "ratio"]
+    """How 'SNR' is read: no noise, 10 log10 of the power ratio, or the power ratio."""
+    signal_to_noise: Positive
+    """The SNR itself, 20 in the paper."""
+    redrawn: bool
+    """Whether each forecast draws new noise; otherwise the noise belongs to the
+    time it speaks of and is the same in every forecast."""
+    seed: Seed
+    """Seed of the noise."""
+
+
+@dataclass(frozen=True, config=_FROZEN)
+class SimulationParameters:
+    """One closed-loop run of the plant."""
+
+    duration: Positive
+    """Length of the run, in s."""
+    relative_tolerance: Annotated[float, Strict(), Field(gt=0, le=1e-3, allow_inf_nan=False)]
+    """Relative tolerance of the plant's integrator."""
+    absolute_tolerance: Annotated[float, Strict(), Field(gt=0, le=1e-3, allow_inf_nan=False)]
+    """Absolute tolerance of the plant's integrator, in rad and rad/s."""
+    largest_step: Positive
+    """Longest step of the plant's integrator, in s."""
+
+
+@dataclass(frozen=True, config=_FROZEN)
+class ParameterSet:
+    """Everything that a closed-loop run needs, bar its target."""
+
+    arm: ArmParameters
+    fluid: FluidParameters
+    sea: SeaParameters
+    baseline: BaselineParameters
+    nmpc: NmpcParameters
+    preview: PreviewParameters
+    simulation: SimulationParameters
+
+    @model_validator(mode="after")
+    def _gains_match_segments(self) -> Self:
+        for name in ("proportional_gain", "derivative_gain"):
+            count = len(getattr(self.baseline, name))
+            if count != self.arm.segments:
+                expected = f"{self.arm.segments} entries in baseline.{name}, one per segment"
+                raise ValueError(f"{expected}; found {count}")
+        return self
+
+
+def data_folder() -> Path:
+    """Folder ``data/`` of the project."""
+    return Path(__file__).resolve().parent.parent / "data"
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a TOML file.
+
+    Raises
+    ------
+    ParameterError
+        If the file is missing or is not TOML.
+    """
+    try:
+        with path.open("rb") as stream:
+            return tomllib.load(stream)
+    except FileNotFoundError:
+        raise ParameterError(f"{path}: no such file") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ParameterError(f"{path}: not valid TOML: {error}") from None
+
+
+def load_parameters(path: Path) -> ParameterSet:
+    """Load a parameter set from a TOML file.
+
+    Raises
+    ------
+    ParameterError
+        Naming the file, the field, the value and the allowed range.
+    """
+    return validate(ParameterSet, read_toml(path), source=path)
+
+
+def validate(kind: type[T], values: Any, source: Path | str) -> T:
+    """Make a ``kind`` from plain ``values``; errors name ``source``.
+
+    Raises
+    ------
+    ParameterError
+        One line that names source, field, value and allowed range.
+    """
+    try:
+        return TypeAdapter(kind).validate_python(values)
+    except ValidationError as error:
+        raise ParameterError(f"{source}: {_first_complaint(kind, error)}") from None
+
+
+def _first_complaint(kind: type, error: ValidationError) -> str:
+    problem = error.errors(include_url=False)[0]
+    field = ".".join(str(part) for part in problem["loc"]) or "file"
+    unit = _documented_range(problem)
+    match problem["type"]:
+        case "missing":
+            return f"{field}: missing; a value is required"
+        case "unexpected_keyword_argument":
+            known = ", ".join(_field_names(kind, problem["loc"][:-1]))
+            return f"{field} = {problem['input']!r}: unknown field; known here: {known}"
+        case "value_error":
+            return f"{field}: must have {problem['ctx']['error']}"
+    return f"{field} = {problem['input']!r}: {unit}"
+
+
+def _documented_range(problem: Any) -> str:
+    """The allowed range in words; pydantic's messages begin with 'Input should be'."""
+    return str(problem["msg"]).replace("Input should", "must").replace("Tuple should", "must")
+
+
+def _field_names(kind: Any, location: tuple[Any, ...]) -> list[str]:
+    for part in location:
+        annotations = {f.name: f.type for f in fields(kind)}
+        kind = globals().get(str(annotations[part]), annotations[part])
+    return [f.name for f in fields(kind)] if is_dataclass(kind) else []

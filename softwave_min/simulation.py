@@ -1,0 +1,333 @@
+"""Plant, sea and controller, joined into one closed-loop run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Protocol
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from softwave_min.arm import Arm, Structure, Values, mechanics, pack_flow
+from softwave_min.control.baseline import KinematicPlanner, feedforward_pd
+from softwave_min.control.nmpc import Nmpc, Solution, Status
+from softwave_min.control.preview import Preview, noise_deviation
+from softwave_min.parameters import BaselineParameters, ParameterSet, SimulationParameters
+from softwave_min.waves import Sea
+
+__all__ = [
+    "BaselineController",
+    "ClosedLoop",
+    "Command",
+    "Controller",
+    "NmpcController",
+    "Plant",
+    "Scenario",
+    "SimulationError",
+    "root_mean_square_error",
+    "simulate",
+]
+
+Floats = NDArray[np.float64]
+
+
+class SimulationError(RuntimeError):
+    """A run cannot go on: a number is not finite."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """What a controller answers at one instant."""
+
+    q_bar: Floats
+    """Commanded angles for the coming period, (n,) in rad."""
+    solution: Solution | None = None
+    """The solve behind it, where there was one."""
+
+
+class Controller(Protocol):
+    """Anything that turns the state at an instant into a command."""
+
+    def command(self, step: int, state: Floats) -> Command:
+        """Command for the control period that starts at ``step``."""
+
+
+class Plant:
+    """The arm itself, integrated by CVODES (SUNDIALS' variable-order BDF).
+
+    Parameters
+    ----------
+    arm : Arm
+    gains : BaselineParameters
+        Gains of the inner loop, which runs in continuous time.
+    parameters : SimulationParameters
+    period : float
+        Time over which a command is held, in s.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        gains: BaselineParameters,
+        parameters: SimulationParameters,
+        period: float,
+    ) -> None:
+        self._fixed = np.concatenate([gains.proportional_gain, gains.derivative_gain, arm.values])
+        self._integrator = _integrator(arm.structure, parameters, period)
+
+    def advance(self, state: Floats, q_bar: Floats, flow: Floats) -> Floats:
+        """State one period later, (2 n,).
+
+        Parameters
+        ----------
+        state : array, (2 n,)
+            (q, qd) at the start of the period.
+        q_bar : array, (n,)
+            Command held over the period, in rad.
+        flow : array, (F,)
+            Packed flow, expanded about the middle of the period.
+        """
+        held = np.concatenate([q_bar, flow, self._fixed])
+        end: Floats = self._integrator(x0=state, p=held)["xf"].full().ravel()
+        return end
+
+
+@cache
+def _integrator(
+    structure: Structure, parameters: SimulationParameters, period: float
+) -> ca.Function:
+    n = structure.segments
+    x, time = ca.SX.sym("x", 2 * n), ca.SX.sym("time")
+    q_bar, flow = ca.SX.sym("q_bar", n), ca.SX.sym("flow", structure.flow_size)
+    gains, packed = ca.SX.sym("gains", 2 * n), ca.SX.sym("values", Values.size(n))
+    values = Values.unpacked(packed, n)
+    terms = mechanics(structure, x[:n], x[n:], values)
+    torque = feedforward_pd(structure, values, gains, q_bar, x)
+    rate = ca.vertcat(x[n:], terms.acceleration(x[:n], torque + terms.fluid_load(flow, time)))
+    problem = {
+        "x": x,
+        "t": time,
+        "p": ca.vertcat(q_bar, flow, gains, packed),
+        "ode": ca.cse(rate),
+    }
+    options = {
+        "reltol": parameters.relative_tolerance,
+        "abstol": parameters.absolute_tolerance,
+        "max_step_size": parameters.largest_step,
+        "max_num_steps": 100_000,
+    }
+    return ca.integrator("plant", "cvodes", problem, -period / 2, period / 2, options)
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """An arm, a sea over the whole run, and the tip's desired path."""
+
+    parameters: ParameterSet
+    arm: Arm
+    targets: Floats
+    """(steps + 1 + K, 2), desired tip at every control instant, in m."""
+    flow: Floats
+    """(steps + K, F), packed flow of every control period."""
+    initial_angles: Floats
+    """(n,), bending angles of the arm at rest at t = 0, in rad."""
+
+    @classmethod
+    def build(
+        cls,
+        parameters: ParameterSet,
+        sea: Sea,
+        target: tuple[float, float],
+        initial_angles: tuple[float, ...] | None = None,
+    ) -> Scenario:
+        """Regulate the tip to a fixed ``target`` (x, z), in m, from the straight arm."""
+        arm = Arm(parameters.arm, parameters.fluid)
+        steps, horizon = _steps(parameters), parameters.nmpc.horizon
+        targets = np.tile(np.asarray(target, dtype=float), (steps + 1 + horizon, 1))
+        return cls(
+            parameters,
+            arm,
+            targets,
+            expanded_flow(parameters, arm, sea),
+            np.zeros(arm.segments) if initial_angles is None else np.array(initial_angles),
+        )
+
+    @property
+    def period(self) -> float:
+        """Control period, in s."""
+        return self.parameters.nmpc.control_period
+
+    @property
+    def steps(self) -> int:
+        """Control periods in the run."""
+        return _steps(self.parameters)
+
+    @property
+    def times(self) -> Floats:
+        """Control instants, (steps + 1,) in s."""
+        instants: Floats = self.period * np.arange(self.steps + 1, dtype=float)
+        return instants
+
+    def planned_angles(self) -> Floats:
+        """The kinematic planner's commands, (steps + K, n) in rad."""
+        planner = KinematicPlanner(self.arm, self.parameters.baseline, self.period)
+        return planner.path(self.initial_angles, self.targets[1:])
+
+    def held_loads(self) -> Floats:
+        """Wave loads on an arm held still at the planned angles, (steps, n) in N m.
+
+        The signal that the preview's signal-to-noise ratio refers to: it depends
+        on sea and target, and on no controller's success.
+        """
+        angles = self.planned_angles()[: self.steps]
+        return self.arm.fluid_load(angles, np.zeros_like(angles), self.flow[: self.steps])
+
+
+def _steps(parameters: ParameterSet) -> int:
+    return round(parameters.simulation.duration / parameters.nmpc.control_period)
+
+
+def expanded_flow(parameters: ParameterSet, arm: Arm, sea: Sea) -> Floats:
+    """Packed flow about the arm in every control period, horizon included.
+
+    Row i is expanded about the base and the middle of period i, and is what plant
+    and preview both read.
+    """
+    period = parameters.nmpc.control_period
+    count = _steps(parameters) + parameters.nmpc.horizon
+    middles = period * (np.arange(count) + 0.5)
+    structure = arm.structure
+    coefficients = sea.taylor_velocity(
+        parameters.arm.base_position, middles, structure.space_order, structure.time_order
+    )
+    return pack_flow(coefficients)
+
+
+class BaselineController:
+    """Feed-forward + PD behind the kinematic planner."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._planned = scenario.planned_angles()
+
+    def command(self, step: int, state: Floats) -> Command:  # noqa: ARG002
+        """Next planned angles; the planner does not look at the state."""
+        return Command(self._planned[step])
+
+
+class NmpcController:
+    """The NMPC behind its preview, warm-started with its shifted former plan."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        parameters = scenario.parameters
+        self._nmpc = Nmpc(scenario.arm, parameters.baseline, parameters.nmpc)
+        deviation = noise_deviation(parameters.preview, scenario.held_loads())
+        horizon = parameters.nmpc.horizon
+        self._preview = Preview(scenario.flow, deviation, horizon, parameters.preview)
+        self._targets = scenario.targets
+        self._previous = scenario.initial_angles
+        self._plan = np.tile(scenario.initial_angles, (horizon, 1))
+
+    def command(self, step: int, state: Floats) -> Command:
+        """First input of the optimal plan from ``state``."""
+        horizon = self._nmpc.parameters.horizon
+        solution = self._nmpc.solve(
+            state,
+            self._previous,
+            self._targets[step + 1 : step + 1 + horizon],
+            self._preview.at(step),
+            self._plan,
+        )
+        if solution.status is Status.NOT_FINITE:
+            raise SimulationError(f"the prediction at step {step} is not finite")
+        self._previous = solution.inputs[0]
+        self._plan = np.vstack([solution.inputs[1:], solution.inputs[-1:]])
+        return Command(solution.inputs[0], solution)
+
+
+@dataclass(frozen=True)
+class ClosedLoop:
+    """Record of one run; instants are the control instants, first and last included."""
+
+    time: Floats
+    """(T + 1,), in s."""
+    q: Floats
+    """(T + 1, n), in rad."""
+    qd: Floats
+    """(T + 1, n), in rad/s."""
+    q_bar: Floats
+    """(T, n), command in force from each instant but the last, in rad."""
+    tips: Floats
+    """(T + 1, n, 2), tips of the segments, in m."""
+    target: Floats
+    """(T + 1, 2), desired tip, in m."""
+    torque: Floats
+    """(T, n), actuation torque just after each command, in N m."""
+    wave_torque: Floats
+    """(T, n), generalised load of the water at those instants, in N m."""
+    status: NDArray[np.int64]
+    """(T,), status of each solve, -1 where there was none."""
+    iterations: NDArray[np.int64]
+    """(T,), iterations of each solve, 0 where there was none."""
+
+    @property
+    def error(self) -> Floats:
+        """Distance of the tip from its target, (T + 1,) in m."""
+        offset = self.tips[:, -1] - self.target
+        distance: Floats = np.hypot(offset[:, 0], offset[:, 1])
+        return distance
+
+
+def root_mean_square_error(error: Floats) -> float:
+    """RMSE of a series of distances, in m."""
+    return float(np.sqrt(np.mean(error**2)))
+
+
+def simulate(scenario: Scenario, controller: Controller) -> ClosedLoop:
+    """Run plant and controller over the scenario.
+
+    Raises
+    ------
+    SimulationError
+        If a state or the sea is not finite, naming the time.
+    """
+    parameters, arm, steps = scenario.parameters, scenario.arm, scenario.steps
+    plant = Plant(arm, parameters.baseline, parameters.simulation, scenario.period)
+    if not np.all(np.isfinite(scenario.flow)):
+        when = scenario.period * int(np.argmin(np.isfinite(scenario.flow).all(axis=1)))
+        raise SimulationError(f"the sea is not finite from t = {when:.1f} s")
+    n = arm.segments
+    states = np.zeros((steps + 1, 2 * n))
+    states[0, :n] = scenario.initial_angles
+    commands: list[Command] = []
+    for step in range(steps):
+        commands.append(controller.command(step, states[step]))
+        states[step + 1] = plant.advance(states[step], commands[-1].q_bar, scenario.flow[step])
+        if not np.all(np.isfinite(states[step + 1])):
+            raise SimulationError(
+                f"the state is not finite at t = {scenario.times[step + 1]:.1f} s"
+            )
+    return _record(scenario, states, commands)
+
+
+def _record(scenario: Scenario, states: Floats, commands: list[Command]) -> ClosedLoop:
+    arm, parameters, steps = scenario.arm, scenario.parameters, scenario.steps
+    q, qd = np.hsplit(states, 2)
+    q_bar = np.array([command.q_bar for command in commands])
+    feedforward = arm.stiffness_vector(q_bar) + arm.gravity_vector(q_bar)
+    feedback = parameters.baseline.proportional_gain * (q_bar - q[:-1])
+    flow = scenario.flow[:steps]
+    solutions = [command.solution for command in commands]
+    return ClosedLoop(
+        time=scenario.times,
+        q=q,
+        qd=qd,
+        q_bar=q_bar,
+        tips=arm.segment_tips(q),
+        target=scenario.targets[: steps + 1],
+        torque=feedforward + feedback - np.asarray(parameters.baseline.derivative_gain) * qd[:-1],
+        wave_torque=arm.fluid_load(q[:-1], qd[:-1], flow, time=-scenario.period / 2),
+        status=np.array([-1 if one is None else one.status for one in solutions]),
+        iterations=np.array([0 if one is None else one.iterations for one in solutions]),
+    )

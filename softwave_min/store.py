@@ -1,0 +1,218 @@
+"""Results on disk: written whole, with what they came from, and judged fresh or stale.
+
+``results/<experiment>/`` holds
+
+- ``<table>.csv`` and ``<figure>.svg``, committed;
+- ``provenance.json``, committed: what determined them, and on what they ran;
+- ``runs/<name>-<identity>.npz``, not committed: one file per run, so that an
+  interrupted experiment resumes and a fresh clone computes everything itself.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+import platform
+import subprocess
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from softwave_min.identity import ROOT, as_plain, digest, lock_digest, source_digest
+
+__all__ = [
+    "Run",
+    "Store",
+    "machine",
+    "read_table",
+    "repository_state",
+    "results_folder",
+    "table_text",
+    "write_atomically",
+]
+
+Arrays = Mapping[str, NDArray[Any]]
+LIBRARIES = ("casadi", "cvxpy", "matplotlib", "numpy", "pandas", "scipy")
+SIGNIFICANT_DIGITS = 10
+
+
+@dataclass(frozen=True)
+class Run:
+    """One independent computation: a function of its parameters alone."""
+
+    name: str
+    """Unique in its experiment; letters, digits, '-' and '_'."""
+    compute: Callable[[Any], Arrays]
+    """Module-level function from the parameters to named arrays."""
+    parameters: Any = field(hash=False)
+    """Frozen dataclass: all that the function reads, seeds included."""
+
+    @property
+    def identity(self) -> str:
+        """Hash over what determines the run."""
+        return digest(
+            self.compute.__module__,
+            self.compute.__qualname__,
+            self.parameters,
+            source_digest(self.compute.__module__),
+            lock_digest(),
+        )
+
+
+def results_folder() -> Path:
+    """Folder ``results/``; the environment variable SOFTWAVE_RESULTS names another."""
+    return Path(os.environ.get("SOFTWAVE_RESULTS", ROOT / "results")).resolve()
+
+
+@dataclass(frozen=True)
+class Store:
+    """The results of one experiment."""
+
+    experiment: str
+    root: Path = field(default_factory=results_folder)
+
+    @property
+    def folder(self) -> Path:
+        """``results/<experiment>``."""
+        return self.root / self.experiment
+
+    def run_path(self, run: Run) -> Path:
+        """File of one run."""
+        return self.folder / "runs" / f"{run.name}-{run.identity[:16]}.npz"
+
+    def has(self, run: Run) -> bool:
+        """Whether the run was computed as it is defined now."""
+        return self.run_path(run).is_file()
+
+    def save_run(self, run: Run, arrays: Arrays, record: Mapping[str, Any]) -> None:
+        """Write a run's arrays, and drop the files of its former definitions.
+
+        ``record`` is the run's provenance. It goes first: arrays without it
+        would count as computed.
+        """
+        path = self.run_path(run)
+        write_atomically(path.with_suffix(".json"), _json(record))
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, allow_pickle=False, **arrays)
+        write_atomically(path, buffer.getvalue())
+        for former in path.parent.glob(f"{run.name}-{'[0-9a-f]' * 16}.*"):
+            if former.stem != path.stem:
+                former.unlink()
+
+    def run_record(self, run: Run) -> dict[str, Any]:
+        """Provenance of a computed run."""
+        text = self.run_path(run).with_suffix(".json").read_text(encoding="utf-8")
+        record: dict[str, Any] = json.loads(text)
+        return record
+
+    def load_run(self, run: Run) -> dict[str, NDArray[Any]]:
+        """Read a run's arrays.
+
+        Raises
+        ------
+        FileNotFoundError
+            If the run was not computed, or not as it is defined now.
+        """
+        path = self.run_path(run)
+        if not path.is_file():
+            raise FileNotFoundError(
+                f"{self.experiment}/{run.name} is not computed or stale: run 'make results'"
+            )
+        with np.load(path) as archive:
+            return dict(archive)
+
+    def write_table(self, stem: str, table: pd.DataFrame) -> None:
+        """Write ``<stem>.csv``."""
+        write_atomically(self.folder / f"{stem}.csv", table_text(table).encode())
+
+    def read_table(self, stem: str) -> pd.DataFrame:
+        """Read ``<stem>.csv``."""
+        return read_table(self.folder / f"{stem}.csv")
+
+    def write_provenance(self, record: Mapping[str, Any]) -> None:
+        """Write ``provenance.json``."""
+        write_atomically(self.folder / "provenance.json", _json(record))
+
+    def provenance(self) -> dict[str, Any]:
+        """Read ``provenance.json``; empty where there is none."""
+        path = self.folder / "provenance.json"
+        if not path.is_file():
+            return {}
+        record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        return record
+
+
+def table_text(table: pd.DataFrame) -> str:
+    """CSV text of a table, floats to ten significant digits."""
+    digits = f"%.{SIGNIFICANT_DIGITS}g"
+    return str(table.to_csv(index=False, float_format=digits, lineterminator="\n"))
+
+
+def read_table(source: Path | io.StringIO) -> pd.DataFrame:
+    """Read a table that ``table_text`` wrote."""
+    return pd.read_csv(source)
+
+
+def _json(record: Mapping[str, Any]) -> bytes:
+    text = json.dumps(as_plain(dict(record)), indent=1, sort_keys=True, allow_nan=False)
+    return (text + "\n").encode()
+
+
+def write_atomically(path: Path, content: bytes) -> None:
+    """Write a file so that no reader ever sees a part of it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with _temporary_beside(path) as (handle, temporary):
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(content)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+
+
+@contextlib.contextmanager
+def _temporary_beside(path: Path) -> Iterator[tuple[int, str]]:
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=".writing-")
+    try:
+        yield handle, temporary
+    finally:
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(temporary)
+
+
+@cache
+def repository_state() -> dict[str, Any]:
+    """Commit of the source, and whether all but results and notebooks was clean."""
+    try:
+        commit = _git("rev-parse", "HEAD")
+        changes = _git("status", "--porcelain", "--", ".", ":!results", ":!notebooks")
+    except (OSError, subprocess.CalledProcessError):
+        return {"commit": None, "clean": None}
+    return {"commit": commit, "clean": not changes}
+
+
+def _git(*arguments: str) -> str:
+    answer = subprocess.run(
+        ["git", "-C", str(ROOT), *arguments], capture_output=True, text=True, check=True
+    )
+    return answer.stdout.strip()
+
+
+def machine() -> dict[str, Any]:
+    """Platform, processor count and versions that a result was computed with."""
+    return {
+        "platform": f"{platform.system()} {platform.machine()}",
+        "processors": os.cpu_count(),
+        "python": platform.python_version(),
+        "libraries": {name: version(name) for name in LIBRARIES},
+    }
