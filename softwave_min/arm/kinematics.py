@@ -20,158 +20,161 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-__all__ = ["BodyPoint", "SegmentBase", "body_point", "curvature_moments", "segment_bases"]
+__all__ = ["BodyPoint", "body_point", "curvature_moments", "quarter_turn", "segment_bases"]
 
-SERIES_TERMS = 9
-SERIES_LIMIT = 1.0
-
-
-@dataclass(frozen=True)
-class SegmentBase:
-    """Motion of a segment's base, caused by the segments before it."""
-
-    position: ca.SX
-    """(x, z), in m."""
-    angle: ca.SX
-    """Direction of the tangent, in rad."""
-    jacobian: ca.SX
-    """2 x n, derivative of the position by q, in m/rad."""
-    angular_velocity: ca.SX
-    """Rate of the tangent's direction, in rad/s."""
-    convective_acceleration: ca.SX
-    """Acceleration of the position at zero q'', that is J' q', in m/s^2."""
+HIGHEST_MOMENT = 3
+SERIES_LIMIT = 0.5
+SERIES_TERMS = 8
+"""Terms in each part of the series; at the limit they leave less than 1e-17."""
 
 
 @dataclass(frozen=True)
 class BodyPoint:
-    """Motion of one point of the arm's axis."""
+    r"""Motion of one point of the arm's axis.
+
+    Every bend turns all that lies beyond its segment as a rigid body. So a partial
+    derivative of the position by any bending angles depends, up to quarter turns, on
+    the angle of largest index alone: with l that index, m its multiplicity and r the
+    order,
+
+    .. math:: \partial^r p = \mathrm i^{\,r-m} D_m(l), \qquad
+              D_m(l) = \partial^m p/\partial q_l^m .
+    """
 
     position: ca.SX
     """(x, z), in m."""
     angle: ca.SX
     """Direction of the tangent, in rad."""
-    jacobian: ca.SX
-    """2 x n, J(s, q), in m/rad."""
-    convective_acceleration: ca.SX
-    """J'(s, q, q') q', in m/s^2."""
+    derivatives: list[tuple[ca.SX, ca.SX, ca.SX]]
+    """D_1, D_2, D_3 by each bending angle up to the point's own, in m/rad^m."""
     angle_jacobian: ca.DM
     """(n,), derivative of the tangent's direction by q, dimensionless."""
-    angular_velocity: ca.SX
-    """Rate of the tangent's direction, in rad/s."""
+    qd: ca.SX
+    """(n,), rates of the bending angles, in rad/s."""
+
+    @property
+    def jacobian(self) -> ca.SX:
+        """J(s, q), 2 x n, in m/rad."""
+        columns = [first for first, _, _ in self.derivatives]
+        beyond = self.qd.numel() - len(columns)
+        return ca.horzcat(*columns, ca.SX.zeros(2, beyond))
+
+    @property
+    def velocity(self) -> ca.SX:
+        """J q', in m/s."""
+        return self.jacobian @ self.qd
+
+    @property
+    def angular_velocity(self) -> ca.SX:
+        """Rate of the tangent's direction, in rad/s."""
+        return ca.dot(self.angle_jacobian, self.qd)
+
+    @property
+    def convective_acceleration(self) -> ca.SX:
+        """J'(s, q, q') q', in m/s^2."""
+        return sum(self.convective_parts(), start=ca.SX.zeros(2))
+
+    def convective_parts(self) -> list[ca.SX]:
+        """J' q' by the largest index of the second derivatives in it."""
+        parts, spin = [], ca.SX(0)
+        for rate, (first, second, _) in zip(ca.vertsplit(self.qd), self.derivatives, strict=False):
+            parts.append(rate**2 * second + 2 * spin * rate * quarter_turn(first))
+            spin += rate
+        return parts
 
 
 def curvature_moments(angle: ca.SX) -> list[tuple[ca.SX, ca.SX]]:
-    r"""Real and imaginary parts of :math:`\varphi_0, \varphi_1, \varphi_2` at ``angle``.
+    r"""Real and imaginary parts of :math:`\varphi_0, \dots, \varphi_3` at ``angle``.
 
-    Partial integration, :math:`\varphi_m = (e^{\mathrm i a} - m \varphi_{m-1}) / (\mathrm i a)`,
-    loses all digits as a goes to 0; the power series takes over for \|a\| < 1, where
-    its nine terms in each part leave less than 1e-17.
+    Partial integration, :math:`\mathrm i a \varphi_m = e^{\mathrm i a} - m \varphi_{m-1}`,
+    gives each moment from its neighbour. Upwards it divides by a, and loses all digits
+    as a goes to 0; there the power series gives the highest moment. Downwards it
+    divides by m, and is harmless.
     """
+    cosine, sine = ca.cos(angle), ca.sin(angle)
     small = ca.fabs(angle) < SERIES_LIMIT
     # Both branches are always evaluated, and differentiated: each gets an
     # argument that it can bear.
-    near = ca.if_else(small, angle, 0)
-    far = ca.if_else(small, SERIES_LIMIT, angle)
-    return [
-        (ca.if_else(small, near_part[0], far_part[0]), ca.if_else(small, near_part[1], far_part[1]))
-        for near_part, far_part in zip(_moments_near(near), _moments_far(far), strict=True)
-    ]
+    near = _highest_by_series(ca.if_else(small, angle, 0))
+    far = _highest_by_recurrence(ca.if_else(small, SERIES_LIMIT, angle), cosine, sine)
+    real, imaginary = (ca.if_else(small, *parts) for parts in zip(near, far, strict=True))
+    moments = [(real, imaginary)]
+    for m in range(HIGHEST_MOMENT, 0, -1):
+        real, imaginary = (cosine + angle * imaginary) / m, (sine - angle * real) / m
+        moments.insert(0, (real, imaginary))
+    return moments
 
 
-def _moments_near(a: ca.SX) -> list[tuple[ca.SX, ca.SX]]:
+def _highest_by_series(a: ca.SX) -> tuple[ca.SX, ca.SX]:
     square = a * a
-    moments = []
-    for m in range(3):
-        real, imaginary = ca.SX(0), ca.SX(0)
-        for j in reversed(range(SERIES_TERMS)):
-            sign = -1 if j % 2 else 1
-            real = sign / (math.factorial(2 * j) * (2 * j + m + 1)) + square * real
-            imaginary = sign / (math.factorial(2 * j + 1) * (2 * j + m + 2)) + square * imaginary
-        moments.append((real, a * imaginary))
-    return moments
+    real, imaginary = ca.SX(0), ca.SX(0)
+    for j in reversed(range(SERIES_TERMS)):
+        sign, power = (-1) ** j, 2 * j + HIGHEST_MOMENT + 1
+        real = sign / (math.factorial(2 * j) * power) + square * real
+        imaginary = sign / (math.factorial(2 * j + 1) * (power + 1)) + square * imaginary
+    return real, a * imaginary
 
 
-def _moments_far(a: ca.SX) -> list[tuple[ca.SX, ca.SX]]:
-    cosine, sine = ca.cos(a), ca.sin(a)
-    moments = [(sine / a, (1 - cosine) / a)]
-    for m in (1, 2):
-        real, imaginary = moments[-1]
-        moments.append(((sine - m * imaginary) / a, (m * real - cosine) / a))
-    return moments
+def _highest_by_recurrence(a: ca.SX, cosine: ca.SX, sine: ca.SX) -> tuple[ca.SX, ca.SX]:
+    real, imaginary = sine / a, (1 - cosine) / a
+    for m in range(1, HIGHEST_MOMENT + 1):
+        real, imaginary = (sine - m * imaginary) / a, (m * real - cosine) / a
+    return real, imaginary
 
 
-def body_point(
-    base: SegmentBase, segment: int, q: ca.SX, qd: ca.SX, length: ca.SX, s: float
-) -> BodyPoint:
+def body_point(base: BodyPoint, segment: int, q: ca.SX, length: ca.SX, s: float) -> BodyPoint:
     """Motion of the point at ``s`` on a segment.
 
     Parameters
     ----------
-    base : SegmentBase
-        Motion of the segment's base.
+    base : BodyPoint
+        The segment's base, which is the tip of the one before.
     segment : int
         Index of the segment, from 0.
-    q, qd : SX, (n,)
-        Bending angles and their rates, in rad and rad/s.
+    q : SX, (n,)
+        Bending angles, in rad.
     length : SX
         Length of the segment, in m.
     s : float
         Place on the segment, 0 at its base and 1 at its tip.
     """
-    bend, rate = q[segment], qd[segment]
-    zeroth, first, second = curvature_moments(s * bend)
-    arm = length * s * _rotated(base.angle, *zeroth)
-    by_bend = length * s**2 * _quarter_turn(_rotated(base.angle, *first))
-    by_bend_twice = -length * s**3 * _rotated(base.angle, *second)
-
-    jacobian = ca.SX(base.jacobian)
-    # Every bend before this segment turns it as a rigid body about its base.
-    for upstream in range(segment):
-        jacobian[:, upstream] += _quarter_turn(arm)
-    jacobian[:, segment] = by_bend
-
-    spin = base.angular_velocity
-    acceleration = (
-        base.convective_acceleration
-        - spin**2 * arm
-        + 2 * spin * rate * _quarter_turn(by_bend)
-        + rate**2 * by_bend_twice
+    zeroth, first, second, third = curvature_moments(s * q[segment])
+    lever = length * s * _rotated(base.angle, *zeroth)
+    turned = quarter_turn(lever)
+    own = (
+        length * s**2 * quarter_turn(_rotated(base.angle, *first)),
+        -length * s**3 * _rotated(base.angle, *second),
+        -length * s**4 * quarter_turn(_rotated(base.angle, *third)),
     )
+    upstream = [
+        (by_one + turned, by_two - lever, by_three - turned)
+        for by_one, by_two, by_three in base.derivatives
+    ]
     return BodyPoint(
-        position=base.position + arm,
-        angle=base.angle + s * bend,
-        jacobian=jacobian,
-        convective_acceleration=acceleration,
+        position=base.position + lever,
+        angle=base.angle + s * q[segment],
+        derivatives=[*upstream, own],
         angle_jacobian=ca.DM([1.0] * segment + [s] + [0.0] * (q.numel() - segment - 1)),
-        angular_velocity=spin + s * rate,
+        qd=base.qd,
     )
 
 
 def segment_bases(
     q: ca.SX, qd: ca.SX, length: ca.SX, base_position: ca.SX, base_angle: ca.SX
-) -> list[SegmentBase]:
+) -> list[BodyPoint]:
     """Motion of the base of every segment and, last, of the arm's tip."""
     n = q.numel()
-    base = SegmentBase(base_position, base_angle, ca.SX.zeros(2, n), ca.SX(0), ca.SX.zeros(2))
-    bases = [base]
+    bases = [BodyPoint(base_position, base_angle, [], ca.DM.zeros(n), qd)]
     for segment in range(n):
-        tip = body_point(bases[-1], segment, q, qd, length[segment], 1.0)
-        bases.append(
-            SegmentBase(
-                tip.position,
-                tip.angle,
-                tip.jacobian,
-                tip.angular_velocity,
-                tip.convective_acceleration,
-            )
-        )
+        bases.append(body_point(bases[-1], segment, q, length[segment], 1.0))
     return bases
+
+
+def quarter_turn(vector: ca.SX) -> ca.SX:
+    """Turn a vector by 90 degrees counter-clockwise: multiply x + iz by i."""
+    return ca.vertcat(-vector[1], vector[0])
 
 
 def _rotated(angle: ca.SX, real: ca.SX, imaginary: ca.SX) -> ca.SX:
     cosine, sine = ca.cos(angle), ca.sin(angle)
     return ca.vertcat(cosine * real - sine * imaginary, sine * real + cosine * imaginary)
-
-
-def _quarter_turn(vector: ca.SX) -> ca.SX:
-    return ca.vertcat(-vector[1], vector[0])

@@ -230,7 +230,7 @@ def mechanics(structure: Structure, q: ca.SX, qd: ca.SX, values: Values) -> Mech
     bases = segment_bases(q, qd, values.length, values.base_position, values.base_angle)
     places, weights = structure.quadrature
     points = [
-        [body_point(bases[i], i, q, qd, values.length[i], s) for s in places]
+        [body_point(bases[i], i, q, values.length[i], s) for s in places]
         for i in range(structure.segments)
     ]
     displaced = displaced_mass(values)

@@ -204,7 +204,7 @@ def _point_function(structure: Structure, segment: int, s: float) -> ca.Function
     on = _Symbols.of(structure)
     values = Values.unpacked(on.packed, structure.segments)
     bases = segment_bases(on.q, on.qd, values.length, values.base_position, values.base_angle)
-    point = body_point(bases[segment], segment, on.q, on.qd, values.length[segment], s)
+    point = body_point(bases[segment], segment, on.q, values.length[segment], s)
     return _function(
         "point",
         [on.q, on.qd, on.packed],
