@@ -105,7 +105,7 @@ def _integrator(
     values = Values.unpacked(packed, n)
     terms = mechanics(structure, x[:n], x[n:], values)
     torque = feedforward_pd(structure, values, gains, q_bar, x)
-    rate = ca.vertcat(x[n:], terms.acceleration(x[:n], torque + terms.fluid_load(flow, time)))
+    rate = ca.vertcat(x[n:], terms.acceleration(torque + terms.fluid_load(flow, time)))
     problem = {
         "x": x,
         "t": time,

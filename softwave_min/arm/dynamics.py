@@ -17,9 +17,7 @@ from softwave_min.arm.kinematics import BodyPoint
 
 __all__ = [
     "coriolis_vector",
-    "gravity_vector",
     "inertia_matrix",
-    "potential_energy",
     "rotary_inertia_matrix",
     "solve_symmetric",
 ]
@@ -37,15 +35,6 @@ def coriolis_vector(points: Iterable[MassPoint]) -> ca.SX:
     return _total(mass * point.jacobian.T @ point.convective_acceleration for point, mass in points)
 
 
-def gravity_vector(points: Iterable[MassPoint], gravity: ca.SX) -> ca.SX:
-    r"""Weight less buoyancy, :math:`G = \sum_p m_p g\, \partial z_p/\partial q`, in N m.
-
-    ``points`` carry mass less displaced mass, in kg; the result stands on the left
-    of the equation of motion.
-    """
-    return _total(mass * gravity * point.jacobian[1, :].T for point, mass in points)
-
-
 def rotary_inertia_matrix(points: Iterable[MassPoint]) -> ca.SX:
     r"""Inertia of the cross-sections' own rotation, in kg m^2; constant in q.
 
@@ -55,11 +44,6 @@ def rotary_inertia_matrix(points: Iterable[MassPoint]) -> ca.SX:
     return _total(
         section * point.angle_jacobian @ point.angle_jacobian.T for point, section in points
     )
-
-
-def potential_energy(points: Iterable[MassPoint], gravity: ca.SX) -> ca.SX:
-    r"""Energy of weight less buoyancy, :math:`\sum_p m_p g z_p`, in J."""
-    return _total(mass * gravity * point.position[1] for point, mass in points)
 
 
 def solve_symmetric(matrix: ca.SX, right: ca.SX) -> ca.SX:

@@ -13,14 +13,13 @@ from __future__ import annotations
 
 import casadi as ca
 
-from softwave_min.arm.kinematics import BodyPoint
-
 __all__ = [
-    "cross_flow_coriolis",
-    "cross_flow_inertia",
+    "cross_flow_convection",
+    "cross_flow_force",
     "drag_force",
-    "drag_matrix",
+    "drag_slopes",
     "flow_at",
+    "flow_gradient",
     "local_frame",
 ]
 
@@ -48,6 +47,16 @@ def flow_at(coefficients: tuple[ca.SX, ca.SX], offset: ca.SX) -> ca.SX:
     return ca.vertcat(u, -v)
 
 
+def flow_gradient(coefficients: tuple[ca.SX, ca.SX], offset: ca.SX) -> ca.SX:
+    """Derivative of ``flow_at`` by (x, z), 2 x 2: symmetric and without trace, because
+    the complex velocity is analytic.
+    """
+    real, imaginary = coefficients
+    orders = ca.DM(range(1, real.numel()))
+    along = flow_at((orders * real[1:], orders * imaginary[1:]), offset)
+    return ca.vertcat(ca.horzcat(along[0], along[1]), ca.horzcat(along[1], -along[0]))
+
+
 def local_frame(angle: ca.SX) -> ca.SX:
     """Rotation R(s, q) from (x, z) to (normal, tangential); the normal is 90 degrees
     counter-clockwise of the tangent.
@@ -70,43 +79,25 @@ def drag_force(relative_velocity: ca.SX, normal: ca.SX, tangential: ca.SX) -> ca
     return -factors * ca.fabs(relative_velocity) * relative_velocity
 
 
-def drag_matrix(
-    point: BodyPoint, relative_velocity: ca.SX, normal: ca.SX, tangential: ca.SX
-) -> ca.SX:
-    r"""Slope of the generalised drag, :math:`-\partial (J^T R^T F_D)/\partial\dot q`.
+def drag_slopes(relative_velocity: ca.SX, normal: ca.SX, tangential: ca.SX) -> ca.SX:
+    r"""Diagonal of :math:`-\partial F_D/\partial v_r` in the local frame, in N s/m."""
+    return 2 * ca.vertcat(normal, tangential) * ca.fabs(relative_velocity)
 
-    Positive semidefinite, n x n, in N m s/rad.
+
+def cross_flow_force(angle: ca.SX, acceleration: ca.SX) -> ca.SX:
+    """Inertial force of a unit mass that follows the normal motion alone, n (n . a)."""
+    normal = local_frame(angle)[0, :].T
+    return normal * ca.dot(normal, acceleration)
+
+
+def cross_flow_convection(angle: ca.SX, spin: ca.SX, velocity: ca.SX) -> tuple[ca.SX, ca.SX]:
+    r"""What Lagrange's equation for :math:`\tfrac12 (n \cdot v)^2` has beside n (n . a).
+
+    With :math:`\omega` the section's rate of turn and :math:`v_n, v_t` its velocity
+    across and along: the force :math:`-\omega (v_t\, n + v_n\, t)`, to be met with
+    :math:`J^T`, and Munk's moment :math:`v_n v_t`, to be met with
+    :math:`\partial\theta/\partial q`. Without them still water would not conserve energy.
     """
-    jacobian = local_frame(point.angle) @ point.jacobian
-    slope = 2 * ca.vertcat(normal, tangential) * ca.fabs(relative_velocity)
-    return jacobian.T @ ca.diag(slope) @ jacobian
-
-
-def cross_flow_inertia(point: BodyPoint) -> ca.SX:
-    r"""Inertia of a unit mass that follows the normal motion alone, :math:`J^T n n^T J`."""
-    across = local_frame(point.angle)[0, :] @ point.jacobian
-    return across.T @ across
-
-
-def cross_flow_coriolis(point: BodyPoint, qd: ca.SX) -> ca.SX:
-    r"""Coriolis vector that belongs to ``cross_flow_inertia``.
-
-    Lagrange's equation for :math:`\tfrac12 (n \cdot v)^2`: with :math:`\omega` the
-    section's rate of turn and :math:`v_n, v_t` its velocity across and along,
-
-    .. math:: (n \cdot \dot J \dot q - \omega v_t)\, J^T n - \omega v_n\, J^T t
-              + v_n v_t\, \partial\theta/\partial q .
-
-    The last term is Munk's moment; without them energy would not be conserved
-    in still water.
-    """
-    frame = local_frame(point.angle)
-    normal, tangent = frame[0, :] @ point.jacobian, frame[1, :] @ point.jacobian
-    across, along = normal @ qd, tangent @ qd
-    spin = point.angular_velocity
-    convective = frame[0, :] @ point.convective_acceleration
-    return (
-        (convective - spin * along) * normal.T
-        - spin * across * tangent.T
-        + across * along * point.angle_jacobian
-    )
+    frame = local_frame(angle)
+    across, along = ca.vertsplit(frame @ velocity)
+    return -spin * (along * frame[0, :].T + across * frame[1, :].T), across * along

@@ -76,11 +76,57 @@ class BodyPoint:
 
     def convective_parts(self) -> list[ca.SX]:
         """J' q' by the largest index of the second derivatives in it."""
-        parts, spin = [], ca.SX(0)
-        for rate, (first, second, _) in zip(ca.vertsplit(self.qd), self.derivatives, strict=False):
-            parts.append(rate**2 * second + 2 * spin * rate * quarter_turn(first))
-            spin += rate
-        return parts
+        rates = ca.vertsplit(self.qd)
+        return [
+            rate**2 * second + 2 * before * rate * quarter_turn(first)
+            for rate, before, (first, second, _) in zip(
+                rates, _sums_before(rates), self.derivatives, strict=False
+            )
+        ]
+
+    def gradient_of_product(self, rates: ca.SX) -> ca.SX:
+        """Derivative of J ``rates`` by q, 2 x n; for rates = q' it is J'."""
+        parts = ca.vertsplit(rates)
+        columns = [
+            rate * second + before * quarter_turn(first)
+            for rate, before, (first, second, _) in zip(
+                parts, _sums_before(parts), self.derivatives, strict=False
+            )
+        ]
+        beyond = [
+            rate * quarter_turn(d[0]) for rate, d in zip(parts, self.derivatives, strict=False)
+        ]
+        return self._padded(columns, beyond)
+
+    def gradient_of_convective_acceleration(self) -> ca.SX:
+        """Derivative of J' q' by q, 2 x n."""
+        rates = ca.vertsplit(self.qd)
+        columns = [
+            rate**2 * third + 2 * before * rate * quarter_turn(second) - before**2 * first
+            for rate, before, (first, second, third) in zip(
+                rates, _sums_before(rates), self.derivatives, strict=False
+            )
+        ]
+        return self._padded(columns, [quarter_turn(part) for part in self.convective_parts()])
+
+    def hessian_along(self, force: ca.SX) -> ca.SX:
+        """Derivative of J^T ``force`` by q at a fixed force, n x n, symmetric."""
+        n, own = self.qd.numel(), len(self.derivatives)
+        matrix = ca.SX.zeros(n, n)
+        for k in range(own):
+            first, second, _ = self.derivatives[k]
+            matrix[k, k] = ca.dot(second, force)
+            for j in range(k):
+                matrix[j, k] = matrix[k, j] = ca.dot(quarter_turn(first), force)
+        return matrix
+
+    def _padded(self, columns: list[ca.SX], beyond: list[ca.SX]) -> ca.SX:
+        """Columns k with all parts of larger index than k added, out to n columns."""
+        total = ca.SX.zeros(2)
+        for k in reversed(range(len(columns))):
+            columns[k] = columns[k] + total
+            total = total + beyond[k]
+        return ca.horzcat(*columns, ca.SX.zeros(2, self.qd.numel() - len(columns)))
 
 
 def curvature_moments(angle: ca.SX) -> list[tuple[ca.SX, ca.SX]]:
@@ -168,6 +214,14 @@ def segment_bases(
     for segment in range(n):
         bases.append(body_point(bases[-1], segment, q, length[segment], 1.0))
     return bases
+
+
+def _sums_before(rates: list[ca.SX]) -> list[ca.SX]:
+    """Sum of the entries before each entry."""
+    sums = [ca.SX(0)]
+    for rate in rates[:-1]:
+        sums.append(sums[-1] + rate)
+    return sums
 
 
 def quarter_turn(vector: ca.SX) -> ca.SX:

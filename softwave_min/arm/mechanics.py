@@ -7,6 +7,7 @@ one set of functions serves all parameter sets.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -17,24 +18,30 @@ from numpy.typing import NDArray
 
 from softwave_min.arm.dynamics import (
     coriolis_vector,
-    gravity_vector,
     inertia_matrix,
-    potential_energy,
     rotary_inertia_matrix,
     solve_symmetric,
 )
 from softwave_min.arm.hydrodynamics import (
-    cross_flow_coriolis,
-    cross_flow_inertia,
+    cross_flow_convection,
+    cross_flow_force,
     drag_force,
-    drag_matrix,
+    drag_slopes,
     flow_at,
     local_frame,
 )
 from softwave_min.arm.kinematics import BodyPoint, body_point, segment_bases
 from softwave_min.parameters import ArmParameters, FluidParameters
 
-__all__ = ["LOAD_TERMS", "Mechanics", "Structure", "Values", "mechanics"]
+__all__ = [
+    "LOAD_TERMS",
+    "Mechanics",
+    "Section",
+    "Structure",
+    "Values",
+    "flow_coefficients",
+    "mechanics",
+]
 
 Floats = NDArray[np.float64]
 
@@ -114,42 +121,199 @@ class Values:
 
 
 @dataclass(frozen=True)
-class Mechanics:
-    """Every term of the equation of motion at one state, fluid load aside."""
+class Section:
+    """Forces on the cross-sections of one segment, all per whole segment, in N.
 
-    points: list[list[BodyPoint]]
-    """Quadrature points, by segment."""
-    tips: list[ca.SX]
-    """Position of each segment's tip, in m."""
-    tip_jacobian: ca.SX
-    """2 x n, of the arm's tip, in m/rad."""
-    body_inertia: ca.SX
-    """M(q) of the body alone, in kg m^2."""
-    added_inertia: ca.SX
-    """Generalised added mass, in kg m^2."""
-    coriolis: ca.SX
-    """C(q, q') q' of the body and the added mass, in N m."""
+    This is where the readings of the Morison load differ, and nowhere else.
+    """
+
+    morison: Literal["paper", "textbook"]
+    mass: ca.SX
+    """Mass of the segment, in kg."""
+    displaced: ca.SX
+    """Mass of the water that it displaces, in kg."""
+    drag_factors: tuple[ca.SX, ca.SX]
+    """Half density times area times coefficient, normal and tangential, in kg/m."""
+    inertia_coefficient: ca.SX
+    """C_m = 1 + C_a."""
     gravity: ca.SX
-    """G(q) with buoyancy, in N m."""
-    gravity_potential: ca.SX
-    """Energy whose derivative is G(q), in J."""
+
+    @classmethod
+    def of(cls, structure: Structure, values: Values, segment: int) -> Section:
+        """Section of one segment."""
+        diameter, length = values.diameter[segment], values.length[segment]
+        volume = ca.pi / 4 * diameter**2 * length
+        frontal = diameter * length
+        rubbed = ca.pi * frontal if structure.morison == "textbook" else frontal
+        pressure = values.fluid_density / 2
+        return cls(
+            structure.morison,
+            mass=values.density[segment] * volume,
+            displaced=values.fluid_density * volume,
+            drag_factors=(
+                pressure * frontal * values.drag_coefficient,
+                pressure * rubbed * values.friction_coefficient,
+            ),
+            inertia_coefficient=values.inertia_coefficient,
+            gravity=values.gravity,
+        )
+
+    @property
+    def weight(self) -> ca.SX:
+        """Weight less buoyancy, upwards positive."""
+        return ca.vertcat(0, -(self.mass - self.displaced) * self.gravity)
+
+    def added_force(self, angle: ca.SX, acceleration: ca.SX) -> ca.SX:
+        """Force on the water that moves along.
+
+        As printed: C_m = 1 + C_a on the body's acceleration, in all directions alike.
+        Textbook: C_a, across the axis alone.
+        """
+        if self.morison == "paper":
+            return self.inertia_coefficient * self.displaced * acceleration
+        return self._added_mass * cross_flow_force(angle, acceleration)
+
+    def added_convection(self, angle: ca.SX, spin: ca.SX, velocity: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Force and moment of that water beside its acceleration."""
+        if self.morison == "paper":
+            return ca.SX.zeros(2), ca.SX(0)
+        force, moment = cross_flow_convection(angle, spin, velocity)
+        return self._added_mass * force, self._added_mass * moment
+
+    def loads(
+        self, angle: ca.SX, velocity: ca.SX, flow: ca.SX, flow_rate: ca.SX
+    ) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Loads of the moving water, in the order of ``LOAD_TERMS``."""
+        frame = local_frame(angle)
+        drag = drag_force(frame @ (velocity - flow), *self.drag_factors)
+        inertia = self._fluid_inertia * (frame @ flow_rate)
+        return (
+            frame.T @ ca.vertcat(drag[0], 0),
+            frame.T @ ca.vertcat(0, drag[1]),
+            frame.T @ inertia,
+        )
+
+    def drag_slope(self, angle: ca.SX, velocity: ca.SX, flow: ca.SX, change: ca.SX) -> ca.SX:
+        """Fall of the drag force with a ``change`` of the velocity, linearised."""
+        frame = local_frame(angle)
+        slopes = drag_slopes(frame @ (velocity - flow), *self.drag_factors)
+        return frame.T @ (slopes * (frame @ change))
+
+    @property
+    def _added_mass(self) -> ca.SX:
+        return (self.inertia_coefficient - 1) * self.displaced
+
+    @property
+    def _fluid_inertia(self) -> ca.SX:
+        """Mass on the fluid's acceleration, normal and tangential, in kg.
+
+        C_m across the axis; along it the pressure gradient alone, as in buoyancy.
+        """
+        if self.morison == "paper":
+            return ca.SX.zeros(2)
+        return self.displaced * ca.vertcat(self.inertia_coefficient, 1)
+
+
+@dataclass(frozen=True)
+class Mechanics:
+    """The arm at one state (q, qd): its points, and every term of the equation of motion."""
+
     structure: Structure
     values: Values
+    q: ca.SX
     qd: ca.SX
+    bases: list[BodyPoint]
+    """Base of every segment and, last, the arm's tip."""
+    points: list[tuple[Section, BodyPoint, float, int]]
+    """Quadrature points: section, motion, weight, and index of the segment."""
+
+    @property
+    def tips(self) -> list[ca.SX]:
+        """Position of each segment's tip, in m."""
+        return [base.position for base in self.bases[1:]]
+
+    @property
+    def tip_jacobian(self) -> ca.SX:
+        """2 x n, of the arm's tip, in m/rad."""
+        return self.bases[-1].jacobian
+
+    @property
+    def body_inertia(self) -> ca.SX:
+        """M(q) of the body alone, in kg m^2."""
+        inertia = inertia_matrix(self._masses())
+        return inertia + self.rotary_inertia if self.structure.rotary_inertia else inertia
+
+    @property
+    def rotary_inertia(self) -> ca.SX:
+        """Share of M(q) of the cross-sections' own rotation, in kg m^2.
+
+        A section has rho I L with I = pi d^4 / 64, its mass times d^2 / 16.
+        """
+        return rotary_inertia_matrix(
+            (point, weight * section.mass * self.values.diameter[segment] ** 2 / 16)
+            for section, point, weight, segment in self.points
+        )
+
+    @property
+    def added_inertia(self) -> ca.SX:
+        """Generalised added mass, in kg m^2."""
+        return self._sum(
+            lambda section, point: (
+                point.jacobian.T
+                @ ca.horzcat(
+                    *(
+                        section.added_force(point.angle, column)
+                        for column in ca.horzsplit(point.jacobian)
+                    )
+                )
+            )
+        )
 
     @property
     def inertia(self) -> ca.SX:
         """Inertia of body and added mass together, in kg m^2."""
         return self.body_inertia + self.added_inertia
 
-    def passive_force(self, q: ca.SX) -> ca.SX:
+    @property
+    def coriolis(self) -> ca.SX:
+        """C(q, q') q' of the body and the added mass, in N m."""
+
+        def added(section: Section, point: BodyPoint) -> ca.SX:
+            convected = section.added_force(point.angle, point.convective_acceleration)
+            force, moment = section.added_convection(
+                point.angle, point.angular_velocity, point.velocity
+            )
+            return point.jacobian.T @ (convected + force) + point.angle_jacobian * moment
+
+        return coriolis_vector(self._masses()) + self._sum(added)
+
+    @property
+    def gravity(self) -> ca.SX:
+        """G(q) with buoyancy, in N m; it stands on the left of the equation."""
+        return -self._sum(lambda section, point: point.jacobian.T @ section.weight)
+
+    @property
+    def gravity_gradient(self) -> ca.SX:
+        """Derivative of G(q) by q, n x n, in N m/rad."""
+        return -self._sum(lambda section, point: point.hessian_along(section.weight))
+
+    @property
+    def gravity_potential(self) -> ca.SX:
+        """Energy whose derivative is G(q), in J."""
+        return -self._sum(lambda section, point: ca.dot(section.weight, point.position))
+
+    def passive_force(self) -> ca.SX:
         """Sum of the left side without the inertia: C q' + D q' + K(q) + G(q), in N m."""
-        elastic = self.values.damping * self.qd + self.values.stiffness * q
+        elastic = self.values.damping * self.qd + self.values.stiffness * self.q
         return self.coriolis + elastic + self.gravity
 
-    def acceleration(self, q: ca.SX, force: ca.SX) -> ca.SX:
+    def acceleration(self, force: ca.SX) -> ca.SX:
         """Angular accelerations under torques and load of the water together, in rad/s^2."""
-        return solve_symmetric(self.inertia, force - self.passive_force(q))
+        return solve_symmetric(self.inertia, force - self.passive_force())
+
+    def offset(self, point: BodyPoint) -> ca.SX:
+        """Position from the base, about which the flow is expanded, in m."""
+        return point.position - self.values.base_position
 
     def fluid_load(self, flow: ca.SX, time: ca.SX | float) -> ca.SX:
         """Generalised load of the water, F_E without the added mass: (n,) in N m."""
@@ -162,129 +326,39 @@ class Mechanics:
         ``flow`` carries the coefficients of the flow, ``time`` is counted from the
         time of their expansion.
         """
-        velocity, rate = _flow_coefficients(flow, time, self.structure)
+        velocity, rate = flow_coefficients(flow, time, self.structure)
         n = self.structure.segments
-        loads = {term: ca.SX.zeros(n, n) for term in LOAD_TERMS}
-        for segment, point, weight in self._weighted_points():
-            frame = local_frame(point.angle)
-            offset = point.position - self.values.base_position
-            drag = drag_force(
-                frame @ (point.jacobian @ self.qd - flow_at(velocity, offset)),
-                *self._drag_factors(segment),
+        terms = {term: ca.SX.zeros(n, n) for term in LOAD_TERMS}
+        for section, point, weight, segment in self.points:
+            offset = self.offset(point)
+            loads = section.loads(
+                point.angle, point.velocity, flow_at(velocity, offset), flow_at(rate, offset)
             )
-            inertia = self._fluid_inertia(segment) * (frame @ flow_at(rate, offset))
-            forces = (ca.vertcat(drag[0], 0), ca.vertcat(0, drag[1]), inertia)
-            for load, force in zip(loads.values(), forces, strict=True):
-                load[:, segment] += weight * (frame @ point.jacobian).T @ force
-        return loads
+            for term, load in zip(terms.values(), loads, strict=True):
+                term[:, segment] += weight * point.jacobian.T @ load
+        return terms
 
-    def drag_slope(self, flow: ca.SX, time: ca.SX | float) -> ca.SX:
-        """Derivative of the generalised drag by the rates, sign changed: n x n, N m s/rad."""
-        velocity, _ = _flow_coefficients(flow, time, self.structure)
-        slope = ca.SX(0)
-        for segment, point, weight in self._weighted_points():
-            offset = point.position - self.values.base_position
-            relative = local_frame(point.angle) @ (
-                point.jacobian @ self.qd - flow_at(velocity, offset)
-            )
-            slope += weight * drag_matrix(point, relative, *self._drag_factors(segment))
-        return slope
+    def _masses(self) -> list[tuple[BodyPoint, ca.SX]]:
+        return [(point, weight * section.mass) for section, point, weight, _ in self.points]
 
-    def _weighted_points(self) -> list[tuple[int, BodyPoint, float]]:
-        _, weights = self.structure.quadrature
-        return [
-            (segment, point, weight)
-            for segment, on_segment in enumerate(self.points)
-            for point, weight in zip(on_segment, weights, strict=True)
-        ]
-
-    def _drag_factors(self, segment: int) -> tuple[ca.SX, ca.SX]:
-        """Half density times area times coefficient, normal and tangential, in kg/m."""
-        v = self.values
-        frontal = v.diameter[segment] * v.length[segment]
-        rubbed = ca.pi * frontal if self.structure.morison == "textbook" else frontal
-        pressure = v.fluid_density / 2
-        return (
-            pressure * frontal * v.drag_coefficient,
-            pressure * rubbed * v.friction_coefficient,
-        )
-
-    def _fluid_inertia(self, segment: int) -> ca.SX:
-        """Mass on the fluid's acceleration, normal and tangential, in kg.
-
-        C_m across the axis; along it the pressure gradient alone, as in buoyancy.
-        """
-        if self.structure.morison == "paper":
-            return ca.SX.zeros(2)
-        displaced = displaced_mass(self.values)[segment]
-        return displaced * ca.vertcat(self.values.inertia_coefficient, 1)
-
-
-def displaced_mass(values: Values) -> ca.SX:
-    """Mass of the water that each segment displaces, in kg."""
-    return values.fluid_density * ca.pi / 4 * values.diameter**2 * values.length
+    def _sum(self, term: Callable[[Section, BodyPoint], ca.SX]) -> ca.SX:
+        terms = [weight * term(section, point) for section, point, weight, _ in self.points]
+        return sum(terms, start=ca.SX(0))
 
 
 def mechanics(structure: Structure, q: ca.SX, qd: ca.SX, values: Values) -> Mechanics:
-    """Build every term of the equation of motion at (q, qd)."""
+    """The arm at (q, qd)."""
     bases = segment_bases(q, qd, values.length, values.base_position, values.base_angle)
-    places, weights = structure.quadrature
+    sections = [Section.of(structure, values, segment) for segment in range(structure.segments)]
     points = [
-        [body_point(bases[i], i, q, values.length[i], s) for s in places]
+        (sections[i], body_point(bases[i], i, q, values.length[i], s), weight, i)
         for i in range(structure.segments)
+        for s, weight in zip(*structure.quadrature, strict=True)
     ]
-    displaced = displaced_mass(values)
-    mass = values.density * ca.pi / 4 * values.diameter**2 * values.length
-
-    def spread(per_segment: ca.SX) -> list[tuple[BodyPoint, ca.SX]]:
-        return [
-            (point, weight * per_segment[i])
-            for i, on_segment in enumerate(points)
-            for point, weight in zip(on_segment, weights, strict=True)
-        ]
-
-    body = spread(mass)
-    body_inertia = inertia_matrix(body)
-    if structure.rotary_inertia:
-        # rho I L with I = pi d^4 / 64 is the mass times d^2 / 16.
-        body_inertia += rotary_inertia_matrix(spread(mass * values.diameter**2 / 16))
-    added_inertia, added_coriolis = _added_mass(structure, spread(displaced), qd, values)
-    submerged = spread(mass - displaced)
-    return Mechanics(
-        points=points,
-        tips=[base.position for base in bases[1:]],
-        tip_jacobian=bases[-1].jacobian,
-        body_inertia=body_inertia,
-        added_inertia=added_inertia,
-        coriolis=coriolis_vector(body) + added_coriolis,
-        gravity=gravity_vector(submerged, values.gravity),
-        gravity_potential=potential_energy(submerged, values.gravity),
-        structure=structure,
-        values=values,
-        qd=qd,
-    )
+    return Mechanics(structure, values, q, qd, bases, points)
 
 
-def _added_mass(
-    structure: Structure, displaced: list[tuple[BodyPoint, ca.SX]], qd: ca.SX, values: Values
-) -> tuple[ca.SX, ca.SX]:
-    """Generalised added mass and the Coriolis vector that belongs to it.
-
-    As printed: C_m = 1 + C_a on the body's acceleration, in all directions alike.
-    Textbook: C_a, across the axis alone.
-    """
-    if structure.morison == "paper":
-        added = [(point, values.inertia_coefficient * mass) for point, mass in displaced]
-        return inertia_matrix(added), coriolis_vector(added)
-    inertia, coriolis = ca.SX(0), ca.SX(0)
-    for point, mass in displaced:
-        added_mass = (values.inertia_coefficient - 1) * mass
-        inertia += added_mass * cross_flow_inertia(point)
-        coriolis += added_mass * cross_flow_coriolis(point, qd)
-    return inertia, coriolis
-
-
-def _flow_coefficients(
+def flow_coefficients(
     flow: ca.SX, time: ca.SX | float, structure: Structure
 ) -> tuple[tuple[ca.SX, ca.SX], tuple[ca.SX, ca.SX]]:
     """Coefficients in Z of the velocity and of its rate, at ``time`` from the

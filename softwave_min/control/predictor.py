@@ -18,8 +18,11 @@ from functools import cache
 
 import casadi as ca
 
-from softwave_min.arm import Structure, Values, mechanics
+from softwave_min.arm import Section, Structure, Values, mechanics
 from softwave_min.arm.dynamics import solve_symmetric
+from softwave_min.arm.hydrodynamics import flow_at, flow_gradient
+from softwave_min.arm.kinematics import BodyPoint
+from softwave_min.arm.mechanics import flow_coefficients
 from softwave_min.control.baseline import feedforward_pd
 
 __all__ = ["rollout_function", "stage_function"]
@@ -112,23 +115,17 @@ def _implicit_step(held: _Period, first: _Reached, time: float, h: float) -> _Re
     """One linearly implicit step from ``time``, with derivatives.
 
     The step solves W d = r for the change d of the rates. Its derivative is
-    W^-1 (dr - dW d): the vector r - W d is differentiated at fixed d, and never
-    the solution of the linear system.
+    -W^-1 d(W d - r): the vector is differentiated at fixed d, and never the
+    solution of the linear system.
     """
     n = held.structure.segments
-    x, change = ca.SX.sym("x", 2 * n), ca.SX.sym("change", n)
-    matrix, right = _linear_system(held, x, time + h, h)
-    residual = right - matrix @ change
-    system = ca.Function(
-        "system",
-        [x, change, *held.symbols],
-        [matrix, right, ca.jacobian(residual, x), ca.jacobian(residual, held.q_bar)],
-    )
-    matrix, right, _, _ = system(first.x, 0, *held.symbols)
-    change = solve_symmetric(matrix, right)
-    _, _, by_x, by_q_bar = system(first.x, change, *held.symbols)
-    rates = solve_symmetric(
-        matrix, ca.horzcat(by_x @ first.by_state, by_x @ first.by_command + by_q_bar)
+    step = _ImplicitStep(held, first.x, time + h, h)
+    matrix = step.matrix()
+    change = -solve_symmetric(matrix, step.residual(ca.SX.zeros(n)))
+    by_x = step.residual_by_state(change)
+    rates = -solve_symmetric(
+        matrix,
+        ca.horzcat(by_x @ first.by_state, by_x @ first.by_command + step.residual_by_command()),
     )
     rates_by_state = first.by_state[n:, :] + rates[:, : 2 * n]
     rates_by_command = first.by_command[n:, :] + rates[:, 2 * n :]
@@ -140,15 +137,142 @@ def _implicit_step(held: _Period, first: _Reached, time: float, h: float) -> _Re
     )
 
 
-def _linear_system(held: _Period, x: ca.SX, time: float, h: float) -> tuple[ca.SX, ca.SX]:
-    """Matrix W and right-hand side r of one step whose flow is that at ``time``."""
-    n, values = held.structure.segments, held.values
-    q, qd = x[:n], x[n:]
-    terms = mechanics(held.structure, q, qd, values)
-    torque = feedforward_pd(held.structure, values, held.gains, held.q_bar, x)
-    force = torque + terms.fluid_load(held.flow, time) + held.disturbance - terms.passive_force(q)
-    proportional, derivative = ca.vertsplit(held.gains, n)
-    spring = values.stiffness + proportional
-    damper = ca.diag(values.damping + derivative) + terms.drag_slope(held.flow, time)
-    matrix = terms.inertia + h * damper + h**2 * ca.diag(spring)
-    return matrix, h * force - h**2 * spring * qd
+class _ImplicitStep:
+    """The linear system of one step, with the flow of ``time``.
+
+    Its residual W d - r is a sum over the quadrature points,
+    J^T f(z) + (dtheta/dq) mu(z), of the force and the moment on a section in the
+    motion z, and of the terms that act on the bending angles directly. So its
+    derivative needs that of f and mu by z, and of z by the state, which the
+    kinematics gives in closed form.
+    """
+
+    def __init__(self, held: _Period, x: ca.SX, time: float, h: float) -> None:
+        n = held.structure.segments
+        self._held, self._h = held, h
+        self._q, self._qd = ca.vertsplit(x, n)
+        self._values = held.values
+        self._arm = mechanics(held.structure, self._q, self._qd, held.values)
+        self._proportional, self._derivative = ca.vertsplit(held.gains, n)
+        self._spring = self._values.stiffness + self._proportional
+        self._damper = self._values.damping + self._derivative
+        self._flow, self._flow_rate = flow_coefficients(held.flow, time, held.structure)
+
+    def matrix(self) -> ca.SX:
+        """W."""
+        total = ca.diag(self._h * self._damper + self._h**2 * self._spring)
+        if self._held.structure.rotary_inertia:
+            total += self._arm.rotary_inertia
+        for section, point, weight, _ in self._arm.points:
+            columns = [
+                self._change_force(section, point, column)
+                for column in ca.horzsplit(point.jacobian)
+            ]
+            total += weight * point.jacobian.T @ ca.horzcat(*columns)
+        return total
+
+    def residual(self, change: ca.SX) -> ca.SX:
+        """W d - r, in N m s."""
+        h, values = self._h, self._values
+        torque = feedforward_pd(
+            self._held.structure,
+            values,
+            self._held.gains,
+            self._held.q_bar,
+            ca.vertcat(self._q, self._qd),
+        )
+        passive = values.stiffness * self._q + values.damping * self._qd
+        total = (
+            h * (passive - torque - self._held.disturbance)
+            + h**2 * self._spring * self._qd
+            + (h * self._damper + h**2 * self._spring) * change
+        )
+        if self._held.structure.rotary_inertia:
+            total += self._arm.rotary_inertia @ change
+        for section, point, weight, _ in self._arm.points:
+            force, moment = self._section_force(section, *self._motion(point, change))
+            total += weight * (point.jacobian.T @ force + point.angle_jacobian * moment)
+        return total
+
+    def residual_by_state(self, change: ca.SX) -> ca.SX:
+        """Derivative of the residual by (q, qd) at fixed d, n x 2 n."""
+        h = self._h
+        by_angle = h * ca.diag(self._spring)
+        by_rate = ca.diag(h * self._damper + h**2 * self._spring)
+        for section, point, weight, _ in self._arm.points:
+            motion = self._motion(point, change)
+            force, _ = self._section_force(section, *motion)
+            slopes = self._section_slopes(section, motion)
+            reach = ca.horzcat(point.jacobian.T, point.angle_jacobian)
+            angle_wise, rate_wise = self._motion_by_state(point, change)
+            by_angle += weight * (point.hessian_along(force) + reach @ slopes @ angle_wise)
+            by_rate += weight * reach @ slopes @ rate_wise
+        return ca.horzcat(by_angle, by_rate)
+
+    def residual_by_command(self) -> ca.SX:
+        """Derivative of the residual by the commanded angles, n x n."""
+        still = ca.SX.zeros(self._q.shape)
+        commanded = mechanics(self._held.structure, self._held.q_bar, still, self._values)
+        return -self._h * (ca.diag(self._spring) + commanded.gravity_gradient)
+
+    def _motion(self, point: BodyPoint, change: ca.SX) -> tuple[ca.SX, ...]:
+        offset = self._arm.offset(point)
+        return (
+            point.angle,
+            point.angular_velocity,
+            point.velocity,
+            flow_at(self._flow, offset),
+            flow_at(self._flow_rate, offset),
+            point.convective_acceleration,
+            point.jacobian @ change,
+        )
+
+    def _motion_by_state(self, point: BodyPoint, change: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Derivatives of the stacked motion by q and by qd."""
+        n = self._held.structure.segments
+        offset, jacobian = self._arm.offset(point), point.jacobian
+        turning, still = point.angle_jacobian.T, ca.SX.zeros(2, n)
+        jacobian_rate = point.gradient_of_product(self._qd)
+        by_angle = ca.vertcat(
+            turning,
+            ca.SX.zeros(1, n),
+            jacobian_rate,
+            flow_gradient(self._flow, offset) @ jacobian,
+            flow_gradient(self._flow_rate, offset) @ jacobian,
+            point.gradient_of_convective_acceleration(),
+            point.gradient_of_product(change),
+        )
+        by_rate = ca.vertcat(
+            ca.SX.zeros(1, n), turning, jacobian, still, still, 2 * jacobian_rate, still
+        )
+        return by_angle, by_rate
+
+    def _section_force(
+        self, section: Section, angle: ca.SX, spin: ca.SX, *vectors: ca.SX
+    ) -> tuple[ca.SX, ca.SX]:
+        """Force and moment on a section in the residual, in N s and N m s."""
+        velocity, flow, flow_rate, convective, change = vectors
+        h = self._h
+        accelerated = change + h * convective
+        convection, moment = section.added_convection(angle, spin, velocity)
+        loads = section.loads(angle, velocity, flow, flow_rate)
+        force = (
+            section.mass * accelerated
+            + section.added_force(angle, accelerated)
+            + h * section.drag_slope(angle, velocity, flow, change)
+            + h * (convection - section.weight - sum(loads, start=ca.SX.zeros(2)))
+        )
+        return force, h * moment
+
+    def _change_force(self, section: Section, point: BodyPoint, change: ca.SX) -> ca.SX:
+        """The part of the force that grows with d."""
+        flow = flow_at(self._flow, self._arm.offset(point))
+        slope = section.drag_slope(point.angle, point.velocity, flow, change)
+        return section.mass * change + section.added_force(point.angle, change) + self._h * slope
+
+    def _section_slopes(self, section: Section, motion: tuple[ca.SX, ...]) -> ca.SX:
+        """Derivative of (force, moment) by the stacked motion, 3 x 12."""
+        symbols = [ca.SX.sym("z", *part.shape) for part in motion]
+        wrench = ca.vertcat(*self._section_force(section, *symbols))
+        slopes = ca.jacobian(wrench, ca.vertcat(*symbols))
+        return ca.substitute([slopes], symbols, list(motion))[0]
