@@ -23,6 +23,8 @@ __all__ = ["Sea"]
 
 Floats = NDArray[np.float64]
 
+_PER_COMPONENT = ("angular_frequency", "amplitude", "wave_number", "phase")
+
 
 @dataclass(frozen=True, eq=False)
 class Sea:
@@ -43,6 +45,11 @@ class Sea:
     gravity : float
         g, in m/s^2.
 
+    Raises
+    ------
+    ValueError
+        If the vectors differ in length.
+
     Notes
     -----
     The arrays are read-only copies. Methods take x, z, t of any shapes that
@@ -57,10 +64,12 @@ class Sea:
     gravity: float
 
     def __post_init__(self) -> None:
-        for name in ("angular_frequency", "amplitude", "wave_number", "phase"):
+        for name in _PER_COMPONENT:
             array = np.array(getattr(self, name), dtype=float).reshape(-1)
             array.setflags(write=False)
             object.__setattr__(self, name, array)
+        if len({len(getattr(self, name)) for name in _PER_COMPONENT}) > 1:
+            raise ValueError(f"{', '.join(_PER_COMPONENT)}: must have one length")
 
     @classmethod
     def still(cls, depth: float, gravity: float) -> Self:

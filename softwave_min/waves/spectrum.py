@@ -165,7 +165,8 @@ def _enhancement(ratio: NDArray[np.float64], gamma: float) -> NDArray[np.float64
 def _shape_integral(gamma: float) -> float:
     """Integral of x^-5 exp(-5/4 x^-4) gamma^r(x) over x > 0.
 
-    With v = exp(-5/4 x^-4), x^-5 exp(-5/4 x^-4) dx = dv/5: a smooth integrand on 0 < v < 1.
+    With v = exp(-5/4 x^-4), x^-5 exp(-5/4 x^-4) dx = dv/5: a bounded integrand on
+    0 < v < 1, with a bend at the peak alone.
     """
 
     def integrand(v: float) -> float:
