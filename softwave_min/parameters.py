@@ -177,6 +177,8 @@ class NmpcParameters:
     """Most Gauss-Newton steps per solve."""
     tolerance: Positive
     """A solve has converged when its last step is shorter than this, in rad."""
+    real_time: bool
+    """Whether to take ``max_iterations`` full steps and no more, converged or not."""
 
 
 @dataclass(frozen=True, config=_FROZEN)
@@ -200,12 +202,19 @@ class SimulationParameters:
 
     duration: Positive
     """Length of the run, in s."""
+    integrator: Literal["extrapolation", "cvodes", "runge_kutta"]
+    """'extrapolation': linearly implicit Euler steps, extrapolated. 'cvodes': SUNDIALS'
+    variable-order BDF. 'runge_kutta': the paper's, fifth order with variable step."""
     relative_tolerance: Annotated[float, Strict(), Field(gt=0, le=1e-3, allow_inf_nan=False)]
-    """Relative tolerance of the plant's integrator."""
+    """Relative tolerance of a variable-step integrator."""
     absolute_tolerance: Annotated[float, Strict(), Field(gt=0, le=1e-3, allow_inf_nan=False)]
-    """Absolute tolerance of the plant's integrator, in rad and rad/s."""
+    """Absolute tolerance of a variable-step integrator, in rad and rad/s."""
     largest_step: Positive
-    """Longest step of the plant's integrator, in s."""
+    """Longest step of a variable-step integrator, in s."""
+    extrapolated_steps: Annotated[int, Strict(), Field(ge=1, le=1000)]
+    """Extrapolated steps per control period."""
+    extrapolation_columns: Annotated[int, Strict(), Field(ge=1, le=8)]
+    """Order of the extrapolation."""
 
 
 @dataclass(frozen=True, config=_FROZEN)

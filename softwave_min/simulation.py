@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 from typing import Protocol
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from softwave_min.arm import Arm, Structure, Values, mechanics, pack_flow
-from softwave_min.control.baseline import KinematicPlanner, feedforward_pd
-from softwave_min.control.nmpc import Nmpc, Solution, Status
+from softwave_min.arm import Arm, pack_flow
+from softwave_min.control.baseline import KinematicPlanner
+from softwave_min.control.engine import Engine
+from softwave_min.control.nmpc import GaussNewton, Problem, Solution, Solver, Status
 from softwave_min.control.preview import Preview, noise_deviation
-from softwave_min.parameters import BaselineParameters, ParameterSet, SimulationParameters
+from softwave_min.native import compiler
+from softwave_min.parameters import ParameterSet
+from softwave_min.plant import CvodesPlant, ExtrapolatedPlant, Plant, RungeKuttaPlant
 from softwave_min.waves import Sea
 
 __all__ = [
@@ -23,9 +24,10 @@ __all__ = [
     "Command",
     "Controller",
     "NmpcController",
-    "Plant",
     "Scenario",
     "SimulationError",
+    "engine_or_none",
+    "plant_of",
     "root_mean_square_error",
     "simulate",
 ]
@@ -52,73 +54,6 @@ class Controller(Protocol):
 
     def command(self, step: int, state: Floats) -> Command:
         """Command for the control period that starts at ``step``."""
-
-
-class Plant:
-    """The arm itself, integrated by CVODES (SUNDIALS' variable-order BDF).
-
-    Parameters
-    ----------
-    arm : Arm
-    gains : BaselineParameters
-        Gains of the inner loop, which runs in continuous time.
-    parameters : SimulationParameters
-    period : float
-        Time over which a command is held, in s.
-    """
-
-    def __init__(
-        self,
-        arm: Arm,
-        gains: BaselineParameters,
-        parameters: SimulationParameters,
-        period: float,
-    ) -> None:
-        self._fixed = np.concatenate([gains.proportional_gain, gains.derivative_gain, arm.values])
-        self._integrator = _integrator(arm.structure, parameters, period)
-
-    def advance(self, state: Floats, q_bar: Floats, flow: Floats) -> Floats:
-        """State one period later, (2 n,).
-
-        Parameters
-        ----------
-        state : array, (2 n,)
-            (q, qd) at the start of the period.
-        q_bar : array, (n,)
-            Command held over the period, in rad.
-        flow : array, (F,)
-            Packed flow, expanded about the middle of the period.
-        """
-        held = np.concatenate([q_bar, flow, self._fixed])
-        end: Floats = self._integrator(x0=state, p=held)["xf"].full().ravel()
-        return end
-
-
-@cache
-def _integrator(
-    structure: Structure, parameters: SimulationParameters, period: float
-) -> ca.Function:
-    n = structure.segments
-    x, time = ca.SX.sym("x", 2 * n), ca.SX.sym("time")
-    q_bar, flow = ca.SX.sym("q_bar", n), ca.SX.sym("flow", structure.flow_size)
-    gains, packed = ca.SX.sym("gains", 2 * n), ca.SX.sym("values", Values.size(n))
-    values = Values.unpacked(packed, n)
-    terms = mechanics(structure, x[:n], x[n:], values)
-    torque = feedforward_pd(structure, values, gains, q_bar, x)
-    rate = ca.vertcat(x[n:], terms.acceleration(torque + terms.fluid_load(flow, time)))
-    problem = {
-        "x": x,
-        "t": time,
-        "p": ca.vertcat(q_bar, flow, gains, packed),
-        "ode": ca.cse(rate),
-    }
-    options = {
-        "reltol": parameters.relative_tolerance,
-        "abstol": parameters.absolute_tolerance,
-        "max_step_size": parameters.largest_step,
-        "max_num_steps": 100_000,
-    }
-    return ca.integrator("plant", "cvodes", problem, -period / 2, period / 2, options)
 
 
 @dataclass(frozen=True)
@@ -205,6 +140,34 @@ def expanded_flow(parameters: ParameterSet, arm: Arm, sea: Sea) -> Floats:
     return pack_flow(coefficients)
 
 
+def engine_or_none(scenario: Scenario) -> Engine | None:
+    """The compiled engine where there is a compiler."""
+    if compiler() is None:
+        return None
+    parameters = scenario.parameters
+    return Engine(scenario.arm, parameters.baseline, parameters.nmpc, parameters.simulation)
+
+
+def solver_of(scenario: Scenario) -> Solver:
+    """The solver that the scenario's parameters ask for, compiled where possible."""
+    parameters = scenario.parameters
+    engine = engine_or_none(scenario)
+    return engine or GaussNewton(scenario.arm, parameters.baseline, parameters.nmpc)
+
+
+def plant_of(scenario: Scenario) -> Plant:
+    """The plant with the integrator that the parameters ask for, compiled where possible."""
+    parameters = scenario.parameters
+    arguments = (scenario.arm, parameters.baseline, parameters.simulation, scenario.period)
+    match parameters.simulation.integrator:
+        case "cvodes":
+            return CvodesPlant(*arguments)
+        case "runge_kutta":
+            return RungeKuttaPlant(*arguments)
+        case "extrapolation":
+            return engine_or_none(scenario) or ExtrapolatedPlant(*arguments)
+
+
 class BaselineController:
     """Feed-forward + PD behind the kinematic planner."""
 
@@ -219,26 +182,21 @@ class BaselineController:
 class NmpcController:
     """The NMPC behind its preview, warm-started with its shifted former plan."""
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, solver: Solver | None = None) -> None:
         parameters = scenario.parameters
-        self._nmpc = Nmpc(scenario.arm, parameters.baseline, parameters.nmpc)
+        self._solver = solver or solver_of(scenario)
+        self._horizon = parameters.nmpc.horizon
         deviation = noise_deviation(parameters.preview, scenario.held_loads())
-        horizon = parameters.nmpc.horizon
-        self._preview = Preview(scenario.flow, deviation, horizon, parameters.preview)
+        self._preview = Preview(scenario.flow, deviation, self._horizon, parameters.preview)
         self._targets = scenario.targets
         self._previous = scenario.initial_angles
-        self._plan = np.tile(scenario.initial_angles, (horizon, 1))
+        self._plan = np.tile(scenario.initial_angles, (self._horizon, 1))
 
     def command(self, step: int, state: Floats) -> Command:
         """First input of the optimal plan from ``state``."""
-        horizon = self._nmpc.parameters.horizon
-        solution = self._nmpc.solve(
-            state,
-            self._previous,
-            self._targets[step + 1 : step + 1 + horizon],
-            self._preview.at(step),
-            self._plan,
-        )
+        reference = self._targets[step + 1 : step + 1 + self._horizon]
+        problem = Problem(state, self._previous, reference, self._preview.at(step))
+        solution = self._solver.solve(problem, self._plan)
         if solution.status is Status.NOT_FINITE:
             raise SimulationError(f"the prediction at step {step} is not finite")
         self._previous = solution.inputs[0]
@@ -292,8 +250,8 @@ def simulate(scenario: Scenario, controller: Controller) -> ClosedLoop:
     SimulationError
         If a state or the sea is not finite, naming the time.
     """
-    parameters, arm, steps = scenario.parameters, scenario.arm, scenario.steps
-    plant = Plant(arm, parameters.baseline, parameters.simulation, scenario.period)
+    arm, steps = scenario.arm, scenario.steps
+    plant = plant_of(scenario)
     if not np.all(np.isfinite(scenario.flow)):
         when = scenario.period * int(np.argmin(np.isfinite(scenario.flow).all(axis=1)))
         raise SimulationError(f"the sea is not finite from t = {when:.1f} s")

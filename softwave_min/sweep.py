@@ -104,6 +104,8 @@ def compute(experiment: Experiment, parameters: ParameterSet, store: Store, jobs
     missing = [run for run in runs if not store.has(run)]
     started = time.perf_counter()
     failures: list[str] = []
+    if missing:
+        experiment.prepare(missing[0])
     for run, future in _computed(experiment.name, missing, jobs):
         try:
             done = future.result()

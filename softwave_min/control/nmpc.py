@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ from softwave_min.control.predictor import rollout_function
 from softwave_min.control.preview import Forecast
 from softwave_min.parameters import BaselineParameters, NmpcParameters
 
-__all__ = ["Nmpc", "Rollout", "Solution", "Status"]
+__all__ = ["GaussNewton", "Problem", "Rollout", "Solution", "Solver", "Status", "scales"]
 
 Floats = NDArray[np.float64]
 
@@ -46,6 +47,27 @@ class Status(IntEnum):
 
 
 @dataclass(frozen=True)
+class Problem:
+    """One instance of the optimal control problem."""
+
+    state: Floats
+    """(2 n,), present (q, qd)."""
+    previous: Floats
+    """(n,), command in force until now, q_bar_{-1}, in rad."""
+    reference: Floats
+    """(K, 2), desired tip after each period, in m."""
+    forecast: Forecast
+    """Flow and load noise of the coming periods."""
+
+
+class Solver(Protocol):
+    """What solves the optimal control problem."""
+
+    def solve(self, problem: Problem, guess: Floats) -> Solution:
+        """Minimise the cost from the inputs ``guess``, (K, n) in rad."""
+
+
+@dataclass(frozen=True)
 class Rollout:
     """Predicted tips under a sequence of inputs, and their derivatives."""
 
@@ -63,8 +85,6 @@ class Solution:
 
     inputs: Floats
     """(K, n), commanded angles, in rad; the first is applied."""
-    tips: Floats
-    """(K, 2), predicted tips, in m."""
     cost: float
     """Value of the cost, x_0's constant term aside."""
     status: Status
@@ -74,8 +94,17 @@ class Solution:
     """Largest change of an input in the last step, in rad."""
 
 
-class Nmpc:
-    """The optimal control problem and its solver.
+def scales(parameters: NmpcParameters) -> tuple[float, float, float]:
+    """Square roots of the weights: of a tip error, of the last one, of an input's change."""
+    tip = float(np.sqrt(parameters.tip_weight))
+    last = tip * float(np.sqrt(parameters.terminal_weight))
+    return tip, last, float(np.sqrt(parameters.step_weight))
+
+
+class GaussNewton:
+    """Gauss-Newton SQP with bounds and line search, in NumPy: the readable statement.
+
+    ``CompiledGaussNewton`` takes the same steps without an interpreter.
 
     Parameters
     ----------
@@ -94,62 +123,60 @@ class Nmpc:
         self._rollout = rollout_function(
             arm.structure, parameters.control_period, parameters.substeps, parameters.horizon
         )
-        self._tip_scale = self._tip_scales()
+        each, last, _ = scales(parameters)
+        self._tip_scale = np.repeat([each] * (parameters.horizon - 1) + [last], 2)
         self._difference = self._difference_matrix()
 
-    def solve(
-        self,
-        state: Floats,
-        previous: Floats,
-        reference: Floats,
-        forecast: Forecast,
-        guess: Floats,
-    ) -> Solution:
-        """Minimise the cost from ``guess``.
-
-        Parameters
-        ----------
-        state : array, (2 n,)
-            Present (q, qd).
-        previous : array, (n,)
-            Command in force until now, q_bar_{-1}.
-        reference : array, (K, 2)
-            Desired tip after each period, in m.
-        forecast : Forecast
-        guess : array, (K, n)
-            First inputs, for instance the shifted former plan.
-        """
-        bound = self.parameters.angle_bound
-        inputs = np.clip(guess, -bound, bound)
-        rollout = self.predict(state, inputs, forecast)
-        residual = self._residual(inputs, previous, reference, rollout)
-        if not np.all(np.isfinite(residual)):
-            return self._solution(inputs, rollout, residual, Status.NOT_FINITE, 0, np.inf)
+    def solve(self, problem: Problem, guess: Floats) -> Solution:
+        """Minimise the cost from the inputs ``guess``, (K, n) in rad."""
+        settings = self.parameters
+        inputs = np.clip(guess, -settings.angle_bound, settings.angle_bound)
+        residual, jacobian = self.residual(problem, inputs)
+        cost = float(residual @ residual)
+        if not np.isfinite(cost):
+            return Solution(inputs, cost, Status.NOT_FINITE, 0, np.inf)
         size = np.inf
-        for iteration in range(1, self.parameters.max_iterations + 1):
-            direction = self._gauss_newton_step(inputs, residual, rollout)
-            slope = float(self._gradient(residual, rollout) @ direction.ravel())
+        for iteration in range(1, settings.max_iterations + 1):
+            direction = self.step(inputs, residual, jacobian)
+            slope = 2 * float(residual @ jacobian @ direction.ravel())
+            size = float(np.max(np.abs(direction)))
+            short = size < settings.tolerance
+            if short or (settings.real_time and iteration == settings.max_iterations):
+                # The model of the cost is exact to third order in so short a step.
+                status = Status.CONVERGED if short else Status.ITERATION_LIMIT
+                return Solution(inputs + direction, cost + slope / 2, status, iteration, size)
             scale = 1.0
             while True:
                 trial = inputs + scale * direction
-                trial_rollout = self.predict(state, trial, forecast)
-                trial_residual = self._residual(trial, previous, reference, trial_rollout)
-                decrease = residual @ residual - trial_residual @ trial_residual
-                if decrease >= -SUFFICIENT_DECREASE * scale * slope:
-                    break
-                # At the minimum rounding decides the sign: a step this short is the end.
-                if scale * np.max(np.abs(direction)) < self.parameters.tolerance:
+                residual, jacobian = self.residual(problem, trial)
+                found = float(residual @ residual)
+                if found <= cost + SUFFICIENT_DECREASE * scale * slope:
                     break
                 scale /= 2
                 if scale < SHORTEST_STEP:
-                    return self._solution(
-                        inputs, rollout, residual, Status.NO_DECREASE, iteration, size
-                    )
-            inputs, rollout, residual = trial, trial_rollout, trial_residual
-            size = float(np.max(np.abs(scale * direction)))
-            if size < self.parameters.tolerance:
-                return self._solution(inputs, rollout, residual, Status.CONVERGED, iteration, size)
-        return self._solution(inputs, rollout, residual, Status.ITERATION_LIMIT, iteration, size)
+                    return Solution(inputs, cost, Status.NO_DECREASE, iteration, size)
+            inputs, cost, size = trial, found, scale * size
+        return Solution(inputs, cost, Status.ITERATION_LIMIT, settings.max_iterations, size)
+
+    def residual(self, problem: Problem, inputs: Floats) -> tuple[Floats, Floats]:
+        """Weighted residuals, whose sum of squares is the cost, and their Jacobian."""
+        rollout = self.predict(problem.state, inputs, problem.forecast)
+        changes = self._difference @ inputs.ravel()
+        changes[: self._segments] -= np.sqrt(self.parameters.step_weight) * problem.previous
+        errors = self._tip_scale * (rollout.tips - problem.reference).ravel()
+        jacobian = np.vstack([self._tip_scale[:, None] * rollout.sensitivity, self._difference])
+        return np.concatenate([errors, changes]), jacobian
+
+    def step(self, inputs: Floats, residual: Floats, jacobian: Floats) -> Floats:
+        """Minimise the linearised sum of squares within the bounds, (K, n)."""
+        bound = self.parameters.angle_bound
+        step = -cho_solve(cho_factor(jacobian.T @ jacobian), jacobian.T @ residual)
+        flat = inputs.ravel()
+        if np.any(np.abs(flat + step) > bound):
+            limits = (-bound - flat, bound - flat)
+            step = np.clip(lsq_linear(jacobian, -residual, limits, method="bvls").x, *limits)
+        shaped: Floats = step.reshape(inputs.shape)
+        return shaped
 
     def predict(self, state: Floats, inputs: Floats, forecast: Forecast) -> Rollout:
         """Roll the model out and differentiate the tips by the inputs."""
@@ -173,53 +200,8 @@ class Nmpc:
             sensitivity[2 * k : 2 * k + 2] = jacobians[:, n * k : n * (k + 1)] @ motion[:n]
         return Rollout(states.T, tips.T, sensitivity)
 
-    def _tip_scales(self) -> Floats:
-        """Square roots of the weights of the tip residuals, (2 K,)."""
-        weight = np.full(self.parameters.horizon, self.parameters.tip_weight)
-        weight[-1] *= self.parameters.terminal_weight
-        return np.repeat(np.sqrt(weight), 2)
-
     def _difference_matrix(self) -> Floats:
         """Weighted map from the stacked inputs to their changes, q_bar_{-1} aside."""
         size = self._segments * self.parameters.horizon
         difference: Floats = np.eye(size) - np.eye(size, k=-self._segments)
         return float(np.sqrt(self.parameters.step_weight)) * difference
-
-    def _residual(
-        self, inputs: Floats, previous: Floats, reference: Floats, rollout: Rollout
-    ) -> Floats:
-        changes = self._difference @ inputs.ravel()
-        changes[: self._segments] -= np.sqrt(self.parameters.step_weight) * previous
-        return np.concatenate([self._tip_scale * (rollout.tips - reference).ravel(), changes])
-
-    def _jacobian(self, rollout: Rollout) -> Floats:
-        return np.vstack([self._tip_scale[:, None] * rollout.sensitivity, self._difference])
-
-    def _gradient(self, residual: Floats, rollout: Rollout) -> Floats:
-        gradient: Floats = 2 * self._jacobian(rollout).T @ residual
-        return gradient
-
-    def _gauss_newton_step(self, inputs: Floats, residual: Floats, rollout: Rollout) -> Floats:
-        """Minimise the linearised sum of squares within the bounds, (K, n)."""
-        bound = self.parameters.angle_bound
-        jacobian = self._jacobian(rollout)
-        step = -cho_solve(cho_factor(jacobian.T @ jacobian), jacobian.T @ residual)
-        flat = inputs.ravel()
-        if np.any(np.abs(flat + step) > bound):
-            limits = (-bound - flat, bound - flat)
-            step = lsq_linear(jacobian, -residual, limits, method="bvls").x
-            step = np.clip(step, *limits)
-        shaped: Floats = step.reshape(inputs.shape)
-        return shaped
-
-    def _solution(
-        self,
-        inputs: Floats,
-        rollout: Rollout,
-        residual: Floats,
-        status: Status,
-        iterations: int,
-        last_step: float,
-    ) -> Solution:
-        cost = float(residual @ residual)
-        return Solution(inputs, rollout.tips, cost, status, iterations, last_step)

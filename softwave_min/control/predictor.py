@@ -13,8 +13,9 @@ to second order (Hairer & Wanner II, IV.9), which keeps the damping.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
+from typing import Self
 
 import casadi as ca
 
@@ -25,7 +26,7 @@ from softwave_min.arm.kinematics import BodyPoint
 from softwave_min.arm.mechanics import flow_coefficients
 from softwave_min.control.baseline import feedforward_pd
 
-__all__ = ["rollout_function", "stage_function"]
+__all__ = ["rollout_function", "stage_function", "step_function"]
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,19 @@ class _Period:
     disturbance: ca.SX
     gains: ca.SX
     packed: ca.SX
+
+    @classmethod
+    def symbolic(cls, structure: Structure) -> Self:
+        """Symbols for everything."""
+        n = structure.segments
+        return cls(
+            structure,
+            q_bar=ca.SX.sym("q_bar", n),
+            flow=ca.SX.sym("flow", structure.flow_size),
+            disturbance=ca.SX.sym("disturbance", n),
+            gains=ca.SX.sym("gains", 2 * n),
+            packed=ca.SX.sym("values", Values.size(n)),
+        )
 
     @property
     def symbols(self) -> list[ca.SX]:
@@ -69,14 +83,7 @@ def stage_function(structure: Structure, period: float, substeps: int) -> ca.Fun
     """
     n = structure.segments
     x = ca.SX.sym("x", 2 * n)
-    held = _Period(
-        structure,
-        q_bar=ca.SX.sym("q_bar", n),
-        flow=ca.SX.sym("flow", structure.flow_size),
-        disturbance=ca.SX.sym("disturbance", n),
-        gains=ca.SX.sym("gains", 2 * n),
-        packed=ca.SX.sym("values", Values.size(n)),
-    )
+    held = _Period.symbolic(structure)
     step = period / substeps
     after = _Reached(x, ca.SX.eye(2 * n), ca.SX.zeros(2 * n, n))
     for index in range(substeps):
@@ -84,7 +91,7 @@ def stage_function(structure: Structure, period: float, substeps: int) -> ca.Fun
     end = mechanics(structure, after.x[:n], after.x[n:], held.values)
     outputs = [after.x, after.by_state, after.by_command, end.tips[-1], end.tip_jacobian]
     return ca.Function(
-        "stage",
+        "predictor_stage",
         [x, *held.symbols],
         ca.cse([ca.densify(output) for output in outputs]),
         ["x", "q_bar", "flow", "disturbance", "gains", "values"],
@@ -98,6 +105,25 @@ def rollout_function(
 ) -> ca.Function:
     """``stage_function`` over a whole horizon in one call; columns are stages."""
     return stage_function(structure, period, substeps).mapaccum("rollout", horizon)
+
+
+@cache
+def step_function(structure: Structure) -> ca.Function:
+    """State after one linearly implicit step: the plant's, without derivatives.
+
+    Inputs: x; q_bar; flow, expanded about the middle of the period; the time at the end of
+    the step from that middle; the step's length; gains; values.
+    """
+    n = structure.segments
+    held = _Period.symbolic(structure)
+    x, time, h = ca.SX.sym("x", 2 * n), ca.SX.sym("time"), ca.SX.sym("h")
+    step = _ImplicitStep(replace(held, disturbance=ca.SX.zeros(n)), x, time, h)
+    change = -solve_symmetric(step.matrix(), step.residual(ca.SX.zeros(n)))
+    rate = x[n:] + change
+    reached = ca.vertcat(x[:n] + h * rate, rate)
+    inputs = [x, held.q_bar, held.flow, time, h, held.gains, held.packed]
+    names = ["x", "q_bar", "flow", "time", "h", "gains", "values"]
+    return ca.Function("plant_step", inputs, ca.cse([reached]), names, ["next"])
 
 
 def _extrapolated(held: _Period, first: _Reached, start: float, step: float) -> _Reached:
@@ -147,7 +173,7 @@ class _ImplicitStep:
     kinematics gives in closed form.
     """
 
-    def __init__(self, held: _Period, x: ca.SX, time: float, h: float) -> None:
+    def __init__(self, held: _Period, x: ca.SX, time: ca.SX | float, h: ca.SX | float) -> None:
         n = held.structure.segments
         self._held, self._h = held, h
         self._q, self._qd = ca.vertsplit(x, n)

@@ -24,13 +24,22 @@ from softwave_min.simulation import (
     ClosedLoop,
     NmpcController,
     Scenario,
+    engine_or_none,
     root_mean_square_error,
     simulate,
 )
 from softwave_min.store import Run
 from softwave_min.waves import BuoyRecord, Sea, measured_sea, named_records
 
-__all__ = ["CONTROLLERS", "EXPERIMENT", "SEAS", "closed_loop", "key_moments", "sea_of"]
+__all__ = [
+    "CONTROLLERS",
+    "EXPERIMENT",
+    "SEAS",
+    "closed_loop",
+    "key_moments",
+    "scenario_of",
+    "sea_of",
+]
 
 Floats = NDArray[np.float64]
 Controller = Literal["baseline", "nmpc"]
@@ -75,9 +84,14 @@ def sea_of(run: ExampleRun) -> Sea:
     return measured_sea(run.record, sea, gravity)
 
 
+def scenario_of(run: ExampleRun) -> Scenario:
+    """Arm, sea and target of a run."""
+    return Scenario.build(run.parameters, sea_of(run), run.target)
+
+
 def closed_loop(run: ExampleRun) -> dict[str, NDArray[Any]]:
     """Simulate one run; the arrays are the fields of ``ClosedLoop``."""
-    scenario = Scenario.build(run.parameters, sea_of(run), run.target)
+    scenario = scenario_of(run)
     build = BaselineController if run.controller == "baseline" else NmpcController
     return vars(simulate(scenario, build(scenario)))
 
@@ -213,4 +227,5 @@ EXPERIMENT = Experiment(
     claims=("C24", "C25", "C26", "C27", "C28", "C29"),
     runs=runs,
     tabulate=tabulate,
+    prepare=lambda run: engine_or_none(scenario_of(run.parameters)),
 )

@@ -18,6 +18,10 @@ Tables = Mapping[str, pd.DataFrame]
 RunArrays = Mapping[str, Mapping[str, NDArray[Any]]]
 
 
+def _nothing(_: Run) -> None:
+    """Prepare nothing."""
+
+
 @dataclass(frozen=True)
 class Experiment:
     """A set of independent runs and the summary tables made of their results."""
@@ -32,3 +36,6 @@ class Experiment:
     """The runs under a parameter set."""
     tabulate: Callable[[ParameterSet, RunArrays], Tables]
     """Summary tables by stem, from the arrays of all runs by name."""
+    prepare: Callable[[Run], object] = _nothing
+    """Called once with the first run, before processes share the work: compiles what
+    all of them need."""

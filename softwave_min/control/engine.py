@@ -1,0 +1,163 @@
+"""The compiled engine: ``engine.c`` beside the C code that CasADi generates of the model.
+
+It takes the steps of ``GaussNewton`` and of ``ExtrapolatedPlant`` without an interpreter.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from softwave_min.arm import Arm
+from softwave_min.control.nmpc import Problem, Solution, Status, scales
+from softwave_min.control.predictor import stage_function, step_function
+from softwave_min.native import build
+from softwave_min.parameters import BaselineParameters, NmpcParameters, SimulationParameters
+
+__all__ = ["Engine"]
+
+Floats = NDArray[np.float64]
+_DOUBLES = ctypes.POINTER(ctypes.c_double)
+
+
+class _Engine(ctypes.Structure):
+    _fields_ = (
+        *((name, ctypes.c_int) for name in ("segments", "horizon", "flow_size")),
+        *((name, ctypes.c_int) for name in ("max_iterations", "real_time")),
+        *((name, ctypes.c_double) for name in ("tip_scale", "terminal_scale", "step_scale")),
+        *((name, ctypes.c_double) for name in ("angle_bound", "tolerance")),
+        *((name, ctypes.c_int) for name in ("plant_steps", "plant_columns")),
+        ("period", ctypes.c_double),
+        *((name, _DOUBLES) for name in ("gains", "values", "work", "model_w")),
+        ("model_iw", ctypes.POINTER(ctypes.c_longlong)),
+    )
+
+
+class _Task(ctypes.Structure):
+    _fields_ = tuple(
+        (name, _DOUBLES) for name in ("state", "previous", "reference", "flow", "disturbance")
+    )
+
+
+class _Outcome(ctypes.Structure):
+    _fields_ = (
+        ("cost", ctypes.c_double),
+        ("last_step", ctypes.c_double),
+        ("status", ctypes.c_int),
+        ("iterations", ctypes.c_int),
+    )
+
+
+class Engine:
+    """One arm under given gains, weights and steps.
+
+    Parameters
+    ----------
+    arm : Arm
+    gains : BaselineParameters
+    nmpc : NmpcParameters
+    plant : SimulationParameters
+
+    Raises
+    ------
+    CompilerError
+        If nothing can compile.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        gains: BaselineParameters,
+        nmpc: NmpcParameters,
+        plant: SimulationParameters,
+    ) -> None:
+        functions = (
+            stage_function(arm.structure, nmpc.control_period, nmpc.substeps),
+            step_function(arm.structure),
+        )
+        self._library = _library(functions)
+        # The arrays must live as long as the pointers to them.
+        self._kept = [
+            np.array([*gains.proportional_gain, *gains.derivative_gain]),
+            arm.values,
+            np.zeros(self._library.engine_work(arm.segments, nmpc.horizon)),
+            np.zeros(max(function.sz_w() for function in functions) + 1),
+        ]
+        self._integers = np.zeros(max(f.sz_iw() for f in functions) + 1, dtype=np.int64)
+        self._segments = arm.segments
+        self._engine = _Engine(
+            arm.segments,
+            nmpc.horizon,
+            arm.structure.flow_size,
+            nmpc.max_iterations,
+            int(nmpc.real_time),
+            *scales(nmpc),
+            nmpc.angle_bound,
+            nmpc.tolerance,
+            plant.extrapolated_steps,
+            plant.extrapolation_columns,
+            nmpc.control_period,
+            *(_pointer(array) for array in self._kept),
+            self._integers.ctypes.data_as(ctypes.POINTER(ctypes.c_longlong)),
+        )
+        self._outcome = _Outcome()
+
+    def solve(self, problem: Problem, guess: Floats) -> Solution:
+        """Minimise the cost from the inputs ``guess``, (K, n) in rad."""
+        inputs = np.array(guess, dtype=float, order="C")
+        forecast, outcome = problem.forecast, self._outcome
+        parts = (
+            problem.state,
+            problem.previous,
+            problem.reference,
+            forecast.flow,
+            forecast.disturbance,
+        )
+        arrays = [np.ascontiguousarray(array, dtype=float) for array in parts]
+        task = _Task(*(_pointer(array) for array in arrays))
+        self._library.nmpc_solve(
+            ctypes.byref(self._engine), ctypes.byref(task), _pointer(inputs), ctypes.byref(outcome)
+        )
+        status = Status(outcome.status)
+        return Solution(inputs, outcome.cost, status, outcome.iterations, outcome.last_step)
+
+    def advance(self, state: Floats, q_bar: Floats, flow: Floats) -> Floats:
+        """State of the plant one period later, (2 n,)."""
+        end = np.empty(2 * self._segments)
+        arrays = [np.ascontiguousarray(array, dtype=float) for array in (state, q_bar, flow)]
+        self._library.plant_advance(
+            ctypes.byref(self._engine), *(_pointer(array) for array in arrays), _pointer(end)
+        )
+        return end
+
+
+def _pointer(array: Floats) -> ctypes._Pointer[ctypes.c_double]:
+    return array.ctypes.data_as(_DOUBLES)
+
+
+@cache
+def _library(functions: Sequence[ca.Function]) -> ctypes.CDLL:
+    sources = {
+        "model.c": _generated(functions),
+        "engine.c": Path(__file__).with_name("engine.c").read_text(encoding="utf-8"),
+    }
+    library = ctypes.CDLL(str(build("engine", sources)))
+    library.nmpc_solve.restype = None
+    library.plant_advance.restype = None
+    return library
+
+
+def _generated(functions: Sequence[ca.Function]) -> str:
+    generator = ca.CodeGenerator("model.c")
+    for function in functions:
+        generator.add(function)
+    with TemporaryDirectory() as folder:
+        generator.generate(folder + "/")
+        return (Path(folder) / "model.c").read_text(encoding="utf-8")

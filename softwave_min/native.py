@@ -1,0 +1,101 @@
+"""Compile C to a shared library once, and keep it.
+
+A library is cached by the content of its sources, the compiler with its version, the
+flags and the processor, so that it is never stale; it appears under its name only
+when it is whole.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+
+from softwave_min.identity import ROOT
+
+__all__ = ["CompilerError", "build", "compiler"]
+
+FLAGS = ("-O1", "-march=native", "-fno-math-errno", "-std=c99", "-fPIC", "-shared")
+"""-O1: the generated code is straight-line, and more optimisation only takes longer.
+No -ffast-math: the same numbers as the interpreter's."""
+
+
+class CompilerError(RuntimeError):
+    """A compiler is there and failed."""
+
+
+@cache
+def compiler() -> tuple[str, ...] | None:
+    """Command of a C compiler: CC, else cc, gcc or clang, else the package ziglang.
+
+    SOFTWAVE_COMPILER=none says to do without; any other value names the command.
+    """
+    asked = os.environ.get("SOFTWAVE_COMPILER") or os.environ.get("CC")
+    if asked == "none":
+        return None
+    for candidate in (asked, "cc", "gcc", "clang"):
+        found = shutil.which(candidate) if candidate else None
+        if found:
+            return (found,)
+    if importlib.util.find_spec("ziglang"):
+        return (sys.executable, "-m", "ziglang", "cc")
+    return None
+
+
+def build(name: str, sources: Mapping[str, str]) -> Path:
+    """Shared library made of the sources, by file name.
+
+    Raises
+    ------
+    CompilerError
+        If there is no compiler, or it fails; with the first line that it prints.
+    """
+    command = compiler()
+    if command is None:
+        raise CompilerError("no C compiler")
+    library = _folder() / f"{name}-{_key(command, sources)}.so"
+    if not library.is_file():
+        library.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=library.parent) as folder:
+            for file_name, text in sources.items():
+                (Path(folder) / file_name).write_text(text, encoding="utf-8")
+            made = Path(folder) / library.name
+            _run([*command, *FLAGS, *sorted(sources), "-o", str(made), "-lm"], folder)
+            os.replace(made, library)
+    return library
+
+
+def _folder() -> Path:
+    return ROOT / ".build" / "native"
+
+
+def _run(command: list[str], folder: str) -> None:
+    answer = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    if answer.returncode:
+        message = (answer.stderr.strip() or "no message").splitlines()[0]
+        raise CompilerError(f"{command[0]}: {message}")
+
+
+def _key(command: tuple[str, ...], sources: Mapping[str, str]) -> str:
+    version = subprocess.run([*command, "--version"], capture_output=True, text=True, check=False)
+    parts = [*command, version.stdout, *FLAGS, platform.machine(), _processor()]
+    for name in sorted(sources):
+        parts += [name, sources[name]]
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
+
+
+def _processor() -> str:
+    """Model and features of the processor, which -march=native depends on."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor()
+    return "\n".join(sorted({line for line in lines if line.startswith(("model name", "flags"))}))
