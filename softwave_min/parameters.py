@@ -11,7 +11,7 @@ import math
 import tomllib
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeVar, get_args, get_origin, get_type_hints
 
 from pydantic import ConfigDict, Field, Strict, TypeAdapter, ValidationError, model_validator
 from pydantic.dataclasses import dataclass
@@ -250,13 +250,13 @@ def read_toml(path: Path) -> dict[str, Any]:
     Raises
     ------
     ParameterError
-        If the file is missing or is not TOML.
+        If the file cannot be read or is not TOML.
     """
     try:
         with path.open("rb") as stream:
             return tomllib.load(stream)
-    except FileNotFoundError:
-        raise ParameterError(f"{path}: no such file") from None
+    except OSError as error:
+        raise ParameterError(f"{path}: {error.strerror}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ParameterError(f"{path}: not valid TOML: {error}") from None
 
@@ -286,28 +286,70 @@ def validate(kind: type[T], values: Any, source: Path | str) -> T:
         raise ParameterError(f"{source}: {_first_complaint(kind, error)}") from None
 
 
-def _first_complaint(kind: type, error: ValidationError) -> str:
+def _first_complaint(kind: Any, error: ValidationError) -> str:
     problem = error.errors(include_url=False)[0]
-    field = ".".join(str(part) for part in problem["loc"]) or "file"
-    unit = _documented_range(problem)
+    location = problem["loc"]
+    field = ".".join(str(part) for part in location) or "file"
     match problem["type"]:
-        case "missing":
-            return f"{field}: missing; a value is required"
-        case "unexpected_keyword_argument":
-            known = ", ".join(_field_names(kind, problem["loc"][:-1]))
-            return f"{field} = {problem['input']!r}: unknown field; known here: {known}"
         case "value_error":
             return f"{field}: must have {problem['ctx']['error']}"
-    return f"{field} = {problem['input']!r}: {unit}"
+        case "unexpected_keyword_argument":
+            known = ", ".join(_field_names(_annotation(kind, location[:-1])))
+            return f"{field} = {problem['input']!r}: unknown field; known here: {known}"
+    allowed = _in_words(_annotation(kind, location)) or problem["msg"]
+    if problem["type"] in {"missing", "missing_argument"}:
+        return f"{field}: missing; must be {allowed}"
+    return f"{field} = {problem['input']!r}: must be {allowed}"
 
 
-def _documented_range(problem: Any) -> str:
-    """The allowed range in words; pydantic's messages begin with 'Input should be'."""
-    return str(problem["msg"]).replace("Input should", "must").replace("Tuple should", "must")
-
-
-def _field_names(kind: Any, location: tuple[Any, ...]) -> list[str]:
+def _annotation(kind: Any, location: tuple[int | str, ...]) -> Any:
+    """Type that is declared at a place inside ``kind``, with its range."""
     for part in location:
-        annotations = {f.name: f.type for f in fields(kind)}
-        kind = globals().get(str(annotations[part]), annotations[part])
-    return [f.name for f in fields(kind)] if is_dataclass(kind) else []
+        while get_origin(kind) is Annotated:
+            kind = get_args(kind)[0]
+        if is_dataclass(kind):
+            kind = get_type_hints(kind, include_extras=True).get(str(part))
+        else:
+            inner = [one for one in get_args(kind) if one is not Ellipsis]
+            kind = inner[-1] if inner else None
+    return kind
+
+
+def _in_words(annotation: Any) -> str:
+    """The allowed values: 'a number > 0', 'a list of 2 numbers', 'true or false', ..."""
+    limits: list[str] = []
+    while get_origin(annotation) is Annotated:
+        annotation, *notes = get_args(annotation)
+        limits = [*_limits(notes), *limits]
+    if get_origin(annotation) is Literal:
+        return " or ".join(repr(value) for value in get_args(annotation))
+    if get_origin(annotation) is tuple:
+        parts = get_args(annotation)
+        count = "" if parts[-1] is Ellipsis else f"{len(parts)} entries, each "
+        return f"a list of {count}{_in_words(parts[0])}"
+    if is_dataclass(annotation):
+        return f"a table of {', '.join(_field_names(annotation))}"
+    return " and ".join([_KINDS.get(annotation, ""), *limits]).replace(" and ", " ", 1)
+
+
+_KINDS = {
+    bool: "true or false",
+    float: "a finite number",
+    int: "a whole number",
+    str: "text",
+}
+
+
+def _limits(notes: list[Any]) -> list[str]:
+    signs = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
+    found = [limit for note in notes for limit in getattr(note, "metadata", [])]
+    return [
+        f"{signs[name]} {getattr(limit, name):g}"
+        for limit in found
+        for name in signs
+        if hasattr(limit, name)
+    ]
+
+
+def _field_names(kind: Any) -> list[str]:
+    return [field.name for field in fields(kind)] if is_dataclass(kind) else []

@@ -260,12 +260,12 @@ def simulate(scenario: Scenario, controller: Controller) -> ClosedLoop:
     states[0, :n] = scenario.initial_angles
     commands: list[Command] = []
     for step in range(steps):
+        if not np.all(np.isfinite(states[step])):
+            raise SimulationError(f"the state is not finite at t = {scenario.times[step]:.1f} s")
         commands.append(controller.command(step, states[step]))
         states[step + 1] = plant.advance(states[step], commands[-1].q_bar, scenario.flow[step])
-        if not np.all(np.isfinite(states[step + 1])):
-            raise SimulationError(
-                f"the state is not finite at t = {scenario.times[step + 1]:.1f} s"
-            )
+    if not np.all(np.isfinite(states[-1])):
+        raise SimulationError(f"the state is not finite at t = {scenario.times[-1]:.1f} s")
     return _record(scenario, states, commands)
 
 

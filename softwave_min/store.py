@@ -20,6 +20,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
+from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -91,8 +92,12 @@ class Store:
         return self.folder / "runs" / f"{run.name}-{run.identity[:16]}.npz"
 
     def has(self, run: Run) -> bool:
-        """Whether the run was computed as it is defined now."""
-        return self.run_path(run).is_file()
+        """Whether the run was computed as it is defined now, and its file is whole."""
+        try:
+            content = self.run_path(run).read_bytes()
+            return bool(self.run_record(run)["content"] == sha256(content).hexdigest())
+        except (OSError, ValueError, KeyError):
+            return False
 
     def save_run(self, run: Run, arrays: Arrays, record: Mapping[str, Any]) -> None:
         """Write a run's arrays, and drop the files of its former definitions.
@@ -101,10 +106,12 @@ class Store:
         would count as computed.
         """
         path = self.run_path(run)
-        write_atomically(path.with_suffix(".json"), _json(record))
         buffer = io.BytesIO()
         np.savez_compressed(buffer, allow_pickle=False, **arrays)
-        write_atomically(path, buffer.getvalue())
+        content = buffer.getvalue()
+        mark = {"content": sha256(content).hexdigest()}
+        write_atomically(path.with_suffix(".json"), _json({**record, **mark}))
+        write_atomically(path, content)
         for former in path.parent.glob(f"{run.name}-{'[0-9a-f]' * 16}.*"):
             if former.stem != path.stem:
                 former.unlink()
@@ -124,7 +131,7 @@ class Store:
             If the run was not computed, or not as it is defined now.
         """
         path = self.run_path(run)
-        if not path.is_file():
+        if not self.has(run):
             raise FileNotFoundError(
                 f"{self.experiment}/{run.name} is not computed or stale: run 'make results'"
             )

@@ -125,6 +125,15 @@ def compute(experiment: Experiment, parameters: ParameterSet, store: Store, jobs
 def _computed(name: str, runs: Sequence[Run], jobs: int) -> Iterator[tuple[Run, Future[_Done]]]:
     if not runs:
         return
+    if min(jobs, len(runs)) == 1:
+        for run in runs:
+            future: Future[_Done] = Future()
+            try:
+                future.set_result(_timed(run))
+            except Exception as error:  # the caller decides, as with other processes
+                future.set_exception(error)
+            yield run, future
+        return
     # Fork would copy the libraries' threads in an unknown state.
     context = multiprocessing.get_context("spawn")
     with (

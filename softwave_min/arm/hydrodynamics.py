@@ -23,6 +23,9 @@ __all__ = [
     "local_frame",
 ]
 
+SLOPE_ROUNDING = 0.05
+"""Relative velocity below which the drag's slope is rounded off, in m/s."""
+
 
 def flow_at(coefficients: tuple[ca.SX, ca.SX], offset: ca.SX) -> ca.SX:
     """Evaluate sum_n c_n (Z - Z_0)^n at one time.
@@ -80,8 +83,13 @@ def drag_force(relative_velocity: ca.SX, normal: ca.SX, tangential: ca.SX) -> ca
 
 
 def drag_slopes(relative_velocity: ca.SX, normal: ca.SX, tangential: ca.SX) -> ca.SX:
-    r"""Diagonal of :math:`-\partial F_D/\partial v_r` in the local frame, in N s/m."""
-    return 2 * ca.vertcat(normal, tangential) * ca.fabs(relative_velocity)
+    r"""Diagonal of :math:`-\partial F_D/\partial v_r` in the local frame, in N s/m.
+
+    It is 2 |v| times the factor. The corner at v = 0 is rounded off: an implicit step
+    may take any slope, and one with a corner would make the step's own derivative jump.
+    """
+    speed = ca.sqrt(relative_velocity**2 + SLOPE_ROUNDING**2)
+    return 2 * ca.vertcat(normal, tangential) * speed
 
 
 def cross_flow_force(angle: ca.SX, acceleration: ca.SX) -> ca.SX:

@@ -15,6 +15,7 @@ enum status { CONVERGED, ITERATION_LIMIT, NO_DECREASE, NOT_FINITE };
 
 #define SUFFICIENT_DECREASE 1e-4
 #define SHORTEST_STEP 0x1p-12
+#define ROUNDING 1e-13 /* of a computed cost */
 #define MOST_COLUMNS 8
 
 typedef struct {
@@ -280,7 +281,7 @@ void nmpc_solve(const engine *e, const task *t, double *inputs, outcome *out) {
         for (;;) {
             for (int i = 0; i < size; i++) p.trial[i] = inputs[i] + scale * p.direction[i];
             found = roll_out(e, t, p.trial, &p);
-            if (found <= cost + SUFFICIENT_DECREASE * scale * slope) break;
+            if (found <= (1 + ROUNDING) * cost + SUFFICIENT_DECREASE * scale * slope) break;
             scale /= 2;
             if (scale < SHORTEST_STEP) {
                 out->status = NO_DECREASE;

@@ -31,6 +31,8 @@ Floats = NDArray[np.float64]
 
 SUFFICIENT_DECREASE = 1e-4
 SHORTEST_STEP = 2.0**-12
+ROUNDING = 1e-13
+"""Relative error of a computed cost, which must not count as an increase."""
 
 
 class Status(IntEnum):
@@ -150,7 +152,7 @@ class GaussNewton:
                 trial = inputs + scale * direction
                 residual, jacobian = self.residual(problem, trial)
                 found = float(residual @ residual)
-                if found <= cost + SUFFICIENT_DECREASE * scale * slope:
+                if found <= (1 + ROUNDING) * cost + SUFFICIENT_DECREASE * scale * slope:
                     break
                 scale /= 2
                 if scale < SHORTEST_STEP:

@@ -163,6 +163,7 @@ def lag_and_correlation(first: Floats, second: Floats, period: float) -> tuple[f
 def tabulate(parameters: ParameterSet, arrays: RunArrays) -> Tables:
     """Summary of the runs, the joints' statistics, and the key moments."""
     period = parameters.nmpc.control_period
+    peak_period = wave_cases()[choice().case].peak_period
     loops = {name: ClosedLoop(**one) for name, one in arrays.items()}
     summary: list[Row] = []
     joints: list[Row] = []
@@ -170,7 +171,8 @@ def tabulate(parameters: ParameterSet, arrays: RunArrays) -> Tables:
     for sea in SEAS:
         for controller in CONTROLLERS:
             loop = loops[f"{sea}-{controller}"]
-            summary.append({"sea": sea, "controller": controller, **_summary_row(loop)})
+            labels: Row = {"sea": sea, "controller": controller, "peak_period": peak_period}
+            summary.append({**labels, **_summary_row(loop)})
             joints.extend(
                 {"sea": sea, "controller": controller, **row} for row in _joint_rows(loop, period)
             )

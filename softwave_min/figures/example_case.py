@@ -114,6 +114,10 @@ def _by_segment(axes: Axes, loop: ClosedLoop, series: np.ndarray, symbol: str) -
 
 
 def _errors(loops: dict[str, ClosedLoop]) -> Drawing:
+    medians = {
+        name: 1000 * float(np.median(loop.error[loop.time >= TRANSIENT]))
+        for name, loop in loops.items()
+    }
     figure, axes = plt.subplots(len(SEAS), 1, sharex=True, figsize=(7.0, 4.4))
     for one, sea in zip(axes, SEAS, strict=True):
         baseline, nmpc = loops[f"{sea}-baseline"], loops[f"{sea}-nmpc"]
@@ -122,7 +126,7 @@ def _errors(loops: dict[str, ClosedLoop]) -> Drawing:
         one.axvline(TRANSIENT, color=GREY, linewidth=0.8, linestyle="-")
         one.set_ylabel("tip error, m")
         one.set_title(SEA_NAMES[sea])
-        one.set_ylim(1e-4, 1.5)
+        one.set_ylim(1e-5, 1.5)
     axes[0].legend(["feed-forward + PD", "NMPC"], ncols=2, loc="upper right")
     axes[-1].set_xlabel("time, s")
     axes[-1].set_xlim(0, 60)
@@ -134,9 +138,9 @@ def _errors(loops: dict[str, ClosedLoop]) -> Drawing:
             "straight arm, which the paper's RMSE includes in our reading."
         ),
         alt=(
-            "Two panels, one per sea. After about three seconds the NMPC's error stays mostly "
-            "between a millimetre and a centimetre; that of feed-forward plus PD swings around "
-            "a decimetre or two."
+            "Two panels, one per sea. After the first seconds the NMPC's error stays far below "
+            "that of feed-forward plus PD. Medians after the transient in the JONSWAP sea: "
+            f"{medians['jonswap-nmpc']:.1f} mm against {medians['jonswap-baseline']:.0f} mm."
         ),
     )
 

@@ -1,0 +1,131 @@
+# From clone to book. `make help` explains each target in a line.
+# Nothing is assumed but GNU make, git and a Python; a C compiler makes it faster.
+
+# Candidates; the first that is recent enough is taken. `make PYTHON=/path/to/python` names one.
+PYTHON ?= python3.11 python3.12 python3.13 python3.14 python3 python
+# Installs the environment in seconds where present; `make UV=` does without.
+UV ?= $(shell command -v uv)
+
+PY := .venv/bin/python
+pip := $(PY) -m pip --quiet --disable-pip-version-check
+# The oldest Python 3.x that will do, from pyproject.toml.
+minor := $(shell sed -n 's/^requires-python = ">=3\.\([0-9]*\)".*/\1/p' pyproject.toml)
+# Stamps that carry the checksum of what they were made from: neither a checkout's new
+# time stamps nor a moved folder deceive them.
+locked := .venv/locked-$(firstword $(shell cksum < environment.lock))
+installed := .venv/installed-$(firstword $(shell (pwd; cat pyproject.toml) | cksum))
+
+SHELL := /bin/sh
+.SHELLFLAGS := -euc
+.ONESHELL:
+.SUFFIXES:
+.DEFAULT_GOAL := all
+MAKEFLAGS += --no-print-directory
+
+# What a user's own set-up must not decide.
+unexport PYTHONPATH PYTHONHOME MPLBACKEND
+export IPYTHONDIR := $(CURDIR)/.venv/ipython
+export JUPYTER_PREFER_ENV_PATH := 1
+
+.PHONY: all help environment computed results figures notebooks book lab bench test verify lock \
+	clean distclean
+
+all: book ## All that follows down to the book, then a comparison with the committed tables
+	@$(PY) -m softwave_min compare
+	echo "Open book/_build/html/index.html"
+
+help: ## This list
+	@sed -n 's/^\([a-z]*\):[^#]*## \(.*\)/\1 \2/p' $(firstword $(MAKEFILE_LIST)) |
+	while read -r target line; do printf 'make %-12s %s\n' "$$target" "$$line"; done
+
+environment: $(installed) ## Create .venv from environment.lock, every package by its hash
+
+results: computed ## Compute the results that are missing or stale; compare with the committed ones
+	@$(PY) -m softwave_min compare
+
+figures: computed ## Draw every figure anew from the results
+	@$(PY) -m softwave_min figures
+
+notebooks: computed ## Execute the notebooks whose inputs changed
+	@$(PY) notebooks/execute.py
+
+book: notebooks ## Build the book if an input changed: book/_build/html/index.html
+	@$(PY) book/build.py
+
+lab: computed ## Open the notebooks in JupyterLab
+	@$(PY) -m jupyterlab notebooks
+
+bench: environment ## Time a control step of each controller
+	@$(PY) bench/step_time.py
+
+# What a fresh clone lacks is computed; what is stale is an error, not a reason to compute.
+# The notebooks are not executed before nbval does: the committed outputs are what it proves.
+test: environment ## Unit tests, every notebook against its outputs, the book; fails on stale results
+	@$(PY) -m softwave_min status
+	$(PY) -m softwave_min run
+	$(PY) notebooks/execute.py --check
+	$(PY) book/build.py
+	$(PY) tests/browser.py
+	$(PY) -m pytest tests notebooks --nbval --nbval-current-env \
+		--nbval-sanitize-with tests/nbval_sanitize.cfg \
+		--numprocesses auto --maxprocesses 4 --dist loadfile
+
+verify: environment ## Compute everything once more, elsewhere, and compare with the committed tables
+	@rm -rf .build/verify
+	export SOFTWAVE_RESULTS=.build/verify
+	$(PY) -m softwave_min run
+	$(PY) -m softwave_min compare
+
+lock: ## Resolve requirements.in into environment.lock (needs uv)
+	@$(if $(UV),,$(error 'make lock' needs uv))
+	uv pip compile --quiet --universal --python-version 3.$(minor) --generate-hashes \
+		--no-header --no-annotate requirements.in --output-file environment.lock
+
+clean: ## Remove the book, the notebooks' stamps and the caches
+	@rm -rf .build book/_build .hypothesis .mypy_cache .pytest_cache .ruff_cache *.egg-info
+	find . -name .venv -prune -o -name __pycache__ -prune -exec rm -r {} +
+
+distclean: clean ## Remove the computed runs and the environment as well
+	@rm -rf results/*/runs .venv
+
+computed: environment
+	@$(PY) -m softwave_min run
+
+# The path of the first candidate that is recent enough, else 'none:' and what was found.
+define find_python
+found=
+for candidate in $(PYTHON); do
+  version=$$("$$candidate" -c 'import sys; print("%d.%d" % sys.version_info[:2])') || continue
+  if [ "$${version%%.*}" -eq 3 ] && [ "$${version#*.}" -ge $(minor) ]; then
+    exec "$$candidate" -c 'import sys; print(sys.executable)'
+  fi
+  found="$$found $$candidate is $$version;"
+done 2>/dev/null
+echo "none:$${found:- no Python at all;}"
+endef
+
+too_old = Python 3.$(minor) or newer is needed; found: $(strip $(python:none:%=%)) name one with PYTHON=/path/to/python
+
+$(locked):
+	@$(eval python := $(shell $(find_python)))
+	$(if $(filter none:%,$(python)),$(error $(too_old)))
+	rm -rf .venv
+	if [ -n "$(UV)" ]; then
+	  echo "environment: installing environment.lock with uv for $(python)"
+	  "$(UV)" venv --quiet --python "$(python)" .venv
+	  "$(UV)" pip install --quiet --python $(PY) --require-hashes -r environment.lock
+	else
+	  echo "environment: installing environment.lock with pip for $(python); a minute or two"
+	  "$(python)" -m venv .venv
+	  $(pip) install --require-hashes -r environment.lock
+	fi
+	touch $@
+
+$(installed): $(locked)
+	@rm -f .venv/installed-*
+	if [ -n "$(UV)" ]; then
+	  "$(UV)" pip install --quiet --python $(PY) --no-deps --no-build-isolation -e .
+	else
+	  $(pip) install --no-deps --no-build-isolation -e .
+	fi
+	touch $@

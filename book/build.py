@@ -1,0 +1,92 @@
+"""Builds the book, ``book/_build/html``, if anything that it is made of has changed.
+
+Any warning is an error. The build starts from nothing each time: pages quote one another's
+numbers, and Sphinx does not follow those quotations. Says nothing unless it builds; prints
+the builder's own words, and leaves exit status 1, if that fails.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+BOOK = Path(__file__).resolve().parent
+ROOT = BOOK.parent
+PAGES = BOOK / "_build" / "html"
+STAMP = ROOT / ".build" / "book" / "fingerprint"
+BUILD = ("build", "-W", "-n", "--keep-going", "-q", str(BOOK))
+COLOUR = re.compile(r"\x1b\[[0-9;]*m")
+MADE = {"_build", "__pycache__", ".ipynb_checkpoints"}
+RESULTS = ("*.svg", "*.csv", "*.webm", "*.mp4", "provenance.json")
+
+
+def ingredients() -> Iterator[Path]:
+    """Yield every file that the book is made of."""
+    for folder, names, files in os.walk(BOOK):
+        names[:] = [name for name in names if name not in MADE]
+        yield from (Path(folder, name) for name in files)
+    yield from (ROOT / "notebooks").glob("*.ipynb")
+    for pattern in RESULTS:
+        yield from (ROOT / "results").glob(f"*/{pattern}")
+    yield from (path for path in (ROOT / "data").rglob("*") if path.is_file())
+    yield ROOT / "environment.lock"
+
+
+def fingerprint() -> str:
+    """SHA-256 over the names and the contents of the ingredients."""
+    total = hashlib.sha256()
+    for path in sorted(ingredients()):
+        content = hashlib.sha256(path.read_bytes()).hexdigest()
+        total.update(f"{path.relative_to(ROOT).as_posix()} {content}\n".encode())
+    return total.hexdigest()
+
+
+def is_current() -> bool:
+    """Whether the pages were built from the ingredients as they are now."""
+    return (
+        (PAGES / "index.html").is_file()
+        and STAMP.is_file()
+        and STAMP.read_text(encoding="ascii") == fingerprint()
+    )
+
+
+def build() -> int:
+    """Build the pages from nothing; return the builder's exit status."""
+    STAMP.unlink(missing_ok=True)
+    shutil.rmtree(PAGES.parent, ignore_errors=True)
+    made_of = fingerprint()
+    command = (str(Path(sys.executable).with_name("jupyter-book")), *BUILD)
+    answer = subprocess.run(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        encoding="utf-8",
+        errors="replace",
+        check=False,
+    )
+    if answer.returncode:
+        sys.stdout.write(COLOUR.sub("", answer.stdout))
+        return 1
+    STAMP.parent.mkdir(parents=True, exist_ok=True)
+    STAMP.write_text(made_of, encoding="ascii")
+    return 0
+
+
+def main() -> int:
+    """Build if needed; return the exit status."""
+    if is_current():
+        return 0
+    status = build()
+    outcome = "the book did not build" if status else f"the book is built: {PAGES / 'index.html'}"
+    sys.stdout.write(f"{outcome}\n")
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,206 @@
+"""The optimal control problem and its solvers."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import lsq_linear
+
+from softwave_min.control.engine import Engine
+from softwave_min.control.nmpc import GaussNewton, Problem, Status
+from softwave_min.control.preview import Forecast, Preview, noise_deviation
+from softwave_min.experiments.paper import poses
+from softwave_min.native import compiler
+from softwave_min.simulation import NmpcController, Scenario, plant_of
+from softwave_min.waves import Sea
+
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler")
+
+
+def scenario_at(nominal, pose="P3", duration=3.0, **nmpc):
+    parameters = replace(
+        nominal,
+        simulation=replace(nominal.simulation, duration=duration),
+        nmpc=replace(nominal.nmpc, **nmpc),
+    )
+    sea = Sea.random(parameters.sea, parameters.fluid.gravity)
+    return Scenario.build(parameters, sea, poses()[pose])
+
+
+def solvers(scenario):
+    p = scenario.parameters
+    return (
+        GaussNewton(scenario.arm, p.baseline, p.nmpc),
+        Engine(scenario.arm, p.baseline, p.nmpc, p.simulation),
+    )
+
+
+def recorded_problems(scenario, count):
+    """Problems and guesses that a closed loop under the NumPy solver meets."""
+    p = scenario.parameters
+    solver = GaussNewton(scenario.arm, p.baseline, p.nmpc)
+    deviation = noise_deviation(p.preview, scenario.held_loads())
+    preview = Preview(scenario.flow, deviation, p.nmpc.horizon, p.preview)
+    plant = plant_of(scenario)
+    n, horizon = scenario.arm.segments, p.nmpc.horizon
+    state, previous = np.zeros(2 * n), np.zeros(n)
+    guess = np.zeros((horizon, n))
+    for step in range(count):
+        reference = scenario.targets[step + 1 : step + 1 + horizon]
+        problem = Problem(state, previous, reference, preview.at(step))
+        yield problem, guess
+        solution = solver.solve(problem, guess)
+        previous = solution.inputs[0]
+        guess = np.vstack([solution.inputs[1:], solution.inputs[-1:]])
+        state = plant.advance(state, previous, scenario.flow[step])
+
+
+def random_problem(scenario, rng):
+    n, horizon = scenario.arm.segments, scenario.parameters.nmpc.horizon
+    flow = scenario.flow[:horizon]
+    return Problem(
+        rng.normal(size=2 * n),
+        rng.uniform(-1, 1, n),
+        np.tile(rng.uniform([-1, -5], [1, -3]), (horizon, 1)),
+        Forecast(flow, 0.1 * rng.standard_normal((horizon, n))),
+    ), rng.uniform(-2, 2, (horizon, n))
+
+
+def test_the_jacobian_of_the_residuals_is_their_derivative(nominal):
+    scenario = scenario_at(nominal, terminal_weight=2.0)
+    solver, _ = solvers(scenario) if compiler() else (first_solver(scenario), None)
+    problem, inputs = random_problem(scenario, np.random.default_rng(3))
+    _, jacobian = solver.residual(problem, inputs)
+    width = 1e-6
+    for column in np.random.default_rng(4).choice(inputs.size, 12, replace=False):
+        move = np.zeros(inputs.size)
+        move[column] = width
+        move = move.reshape(inputs.shape)
+        up, _ = solver.residual(problem, inputs + move)
+        down, _ = solver.residual(problem, inputs - move)
+        np.testing.assert_allclose((up - down) / (2 * width), jacobian[:, column], atol=2e-6)
+
+
+def first_solver(scenario):
+    p = scenario.parameters
+    return GaussNewton(scenario.arm, p.baseline, p.nmpc)
+
+
+def test_the_cost_is_the_one_that_the_paper_prints(nominal):
+    scenario = scenario_at(nominal)
+    solver = first_solver(scenario)
+    weights = scenario.parameters.nmpc
+    problem, inputs = random_problem(scenario, np.random.default_rng(5))
+    residual, _ = solver.residual(problem, inputs)
+    tips = solver.predict(problem.state, inputs, problem.forecast).tips
+    # x_0 is a constant, x_K is not in the sum
+    errors = np.sum((tips - problem.reference)[:-1] ** 2)
+    changes = np.sum(np.diff(np.vstack([problem.previous, inputs]), axis=0) ** 2)
+    expected = weights.tip_weight * errors + weights.step_weight * changes
+    assert residual @ residual == pytest.approx(expected, rel=1e-12)
+
+
+@needs_compiler
+def test_the_engine_takes_the_steps_of_the_numpy_solver(nominal):
+    scenario = scenario_at(nominal)
+    numpy_solver, engine = solvers(scenario)
+    for problem, guess in recorded_problems(scenario, 25):
+        ours, theirs = engine.solve(problem, guess), numpy_solver.solve(problem, guess)
+        np.testing.assert_allclose(ours.inputs, theirs.inputs, rtol=0, atol=1e-9)
+        assert ours.cost == pytest.approx(theirs.cost, rel=1e-9)
+        assert (ours.status, ours.iterations) == (theirs.status, theirs.iterations)
+
+
+@needs_compiler
+def test_the_engine_treats_active_bounds_as_the_library_does(nominal):
+    # A bound this tight is active in every problem.
+    scenario = scenario_at(nominal, angle_bound=0.4, max_iterations=1, real_time=True)
+    numpy_solver, engine = solvers(scenario)
+    rng = np.random.default_rng(7)
+    active = 0
+    for _ in range(20):
+        problem, guess = random_problem(scenario, rng)
+        inputs = np.clip(guess, -0.4, 0.4)
+        residual, jacobian = numpy_solver.residual(problem, inputs)
+        limits = (-0.4 - inputs.ravel(), 0.4 - inputs.ravel())
+        library = lsq_linear(jacobian, -residual, limits, method="bvls", tol=1e-14).x
+        found = engine.solve(problem, guess).inputs - inputs
+        np.testing.assert_allclose(found.ravel(), library, rtol=0, atol=1e-8)
+        active += np.any(np.abs(inputs + found) > 0.4 - 1e-12)
+    assert active > 10
+
+
+@pytest.mark.parametrize("bound", [np.pi, 0.5])
+def test_a_converged_plan_satisfies_the_first_order_conditions(nominal, bound):
+    scenario = scenario_at(nominal, angle_bound=bound, tolerance=1e-9, max_iterations=200)
+    solver = first_solver(scenario)
+    for problem, guess in recorded_problems(scenario, 8):
+        solution = solver.solve(problem, guess)
+        assert solution.status is Status.CONVERGED
+        residual, jacobian = solver.residual(problem, solution.inputs)
+        gradient = 2 * jacobian.T @ residual
+        moved = np.clip(solution.inputs.ravel() - gradient, -bound, bound)
+        assert np.max(np.abs(moved - solution.inputs.ravel())) < 1e-6
+
+
+def test_bounds_hold_always(nominal):
+    scenario = scenario_at(nominal, angle_bound=0.3, max_iterations=3)
+    solver = first_solver(scenario)
+    rng = np.random.default_rng(8)
+    for _ in range(10):
+        problem, guess = random_problem(scenario, rng)
+        assert np.max(np.abs(solver.solve(problem, guess).inputs)) <= 0.3 + 1e-12
+
+
+@needs_compiler
+def test_random_starts_end_with_a_status_and_finite_bounded_inputs(nominal):
+    rng = np.random.default_rng(9)
+    converged = 0
+    for horizon in (1, 2, 15, 40):
+        scenario = scenario_at(nominal, horizon=horizon)
+        _, engine = solvers(scenario)
+        bound = scenario.parameters.nmpc.angle_bound
+        for _ in range(100):
+            problem, guess = random_problem(scenario, rng)
+            solution = engine.solve(problem, guess)
+            assert isinstance(solution.status, Status)
+            assert np.all(np.abs(solution.inputs) <= bound + 1e-12)
+            converged += solution.status is Status.CONVERGED
+    # Targets far outside the workspace, arms folded over: many need more iterations.
+    assert converged > 0.6 * 400
+
+
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=needs_compiler)])
+def test_a_state_that_is_not_finite_is_reported_and_the_solver_recovers(nominal, compiled):
+    scenario = scenario_at(nominal)
+    solver = solvers(scenario)[1] if compiled else first_solver(scenario)
+    problem, guess = next(recorded_problems(scenario, 1))
+    good = solver.solve(problem, guess)
+    assert (
+        solver.solve(replace(problem, state=np.full(6, np.nan)), guess).status is Status.NOT_FINITE
+    )
+    np.testing.assert_array_equal(solver.solve(problem, guess).inputs, good.inputs)
+
+
+def test_a_horizon_of_one_period_moves_nothing(nominal):
+    # The printed sum ends before the only state that the input reaches.
+    scenario = scenario_at(nominal, horizon=1)
+    problem, guess = random_problem(scenario, np.random.default_rng(2))
+    solution = first_solver(scenario).solve(problem, guess)
+    np.testing.assert_allclose(solution.inputs[0], problem.previous, atol=1e-12)
+
+
+def test_the_controller_passes_the_reference_of_the_coming_periods(nominal):
+    scenario = scenario_at(nominal)
+    moving = scenario.targets + np.arange(len(scenario.targets))[:, None] * [1e-3, 0]
+    seen = []
+
+    class Recorder:
+        def solve(self, problem, guess):
+            seen.append(problem.reference)
+            return first_solver(scenario).solve(problem, guess)
+
+    controller = NmpcController(replace(scenario, targets=moving), Recorder())
+    controller.command(4, np.zeros(6))
+    # The tip that the first input moves is that of the next instant.
+    np.testing.assert_array_equal(seen[0][0], moving[5])

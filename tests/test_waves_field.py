@@ -1,0 +1,298 @@
+"""The flow of linear wave theory: equations, conventions, limits, Taylor expansion."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softwave_min.parameters import data_folder, load_parameters
+from softwave_min.waves import Sea, Spectrum, jonswap_density, wave_number
+
+GRAVITY = 9.81
+BASE = (0.0, -4.0)
+
+
+@pytest.fixture(scope="module")
+def parameters():
+    return load_parameters(data_folder() / "parameters" / "nominal.toml").sea
+
+
+@pytest.fixture(scope="module")
+def sea(parameters):
+    return Sea.random(parameters, GRAVITY)
+
+
+@pytest.fixture(scope="module")
+def points():
+    rng = np.random.default_rng(7)
+    return rng.uniform(-40, 40, 50), rng.uniform(-19, -1, 50), rng.uniform(0, 60, 50)
+
+
+def central(function, step):
+    return (function(step) - function(-step)) / (2 * step)
+
+
+def test_continuity_and_no_rotation(sea, points):
+    x, z, t = points
+    h = 1e-4
+    u_x, w_x = central(lambda s: np.array(sea.velocity(x + s, z, t)), h)
+    u_z, w_z = central(lambda s: np.array(sea.velocity(x, z + s, t)), h)
+    assert np.max(np.abs(u_x + w_z)) < 1e-8
+    assert np.max(np.abs(w_x - u_z)) < 1e-8
+    assert np.max(np.abs(u_x)) > 0.01
+
+
+def test_no_flow_through_the_bed(sea, points):
+    x, _, t = points
+    _, w = sea.velocity(x, -sea.depth, t)
+    assert np.all(w == 0)
+
+
+def test_surface_moves_with_the_water(sea, points):
+    x, _, t = points
+    rise = central(lambda s: sea.elevation(x, t + s), 1e-4)
+    np.testing.assert_allclose(sea.velocity(x, 0.0, t)[1], rise, atol=1e-7)
+
+
+def test_pressure_at_the_surface_is_constant(sea, points):
+    """Linear Bernoulli: du/dt + g d(zeta)/dx = 0 at z = 0, hence the dispersion relation."""
+    x, _, t = points
+    slope = central(lambda s: sea.elevation(x + s, t), 1e-4)
+    np.testing.assert_allclose(sea.acceleration(x, 0.0, t)[0], -GRAVITY * slope, atol=1e-7)
+
+
+def test_acceleration_is_the_local_derivative_of_velocity(sea, points):
+    x, z, t = points
+    derivative = central(lambda s: np.array(sea.velocity(x, z, t + s)), 1e-4)
+    np.testing.assert_allclose(np.array(sea.acceleration(x, z, t)), derivative, atol=1e-7)
+
+
+def test_agrees_with_another_code():
+    """raschii 2.0.0 'Airy': H = 3 m, wavelength 99.7 m, depth 54 m, at z = -4 m."""
+    number = 2 * math.pi / 99.7
+    frequency = math.sqrt(GRAVITY * number * math.tanh(number * 54.0))
+    wave = Sea.regular(3.0, 2 * math.pi / frequency, 54.0, GRAVITY)
+    assert wave.wave_number[0] == pytest.approx(number, rel=1e-13)
+    under_crest, _ = wave.velocity(0.0, -4.0, 0.0)
+    assert under_crest == pytest.approx(0.91830076, abs=1e-8)
+    _, quarter = wave.velocity(99.7 / 4, -4.0, 0.0)
+    assert quarter == pytest.approx(0.91494140, abs=1e-8)
+
+
+def test_the_wave_travels_towards_positive_x():
+    wave = Sea.regular(2.0, 8.0, 20.0, GRAVITY)
+    speed = wave.angular_frequency[0] / wave.wave_number[0]
+    t = np.linspace(0, 8, 9)
+    np.testing.assert_allclose(wave.elevation(speed * t, t), 1.0, atol=1e-12)
+
+
+def test_water_moves_forward_under_a_crest_and_rises_ahead_of_it():
+    wave = Sea.regular(2.0, 8.0, 20.0, GRAVITY)
+    u, w = wave.velocity(0.0, -4.0, 0.0)
+    assert u > 0.3
+    assert w == pytest.approx(0, abs=1e-15)
+    quarter_length = math.pi / 2 / wave.wave_number[0]
+    assert wave.velocity(quarter_length, -4.0, 0.0)[1] > 0.3
+
+
+def test_height_is_crest_to_trough():
+    wave = Sea.regular(2.0, 8.0, 20.0, GRAVITY, phase=0.7)
+    elevation = wave.elevation(0.0, np.linspace(0, 8, 4001))
+    assert elevation.max() - elevation.min() == pytest.approx(2.0, rel=1e-6)
+    assert wave.elevation(0.0, 0.0) == pytest.approx(math.cos(0.7))
+
+
+def test_variance_of_the_components_is_that_of_the_height(sea, parameters):
+    variance = np.sum(sea.amplitude**2) / 2
+    assert 4 * math.sqrt(variance) == pytest.approx(parameters.significant_height, rel=1e-14)
+
+
+def test_parseval(parameters):
+    """Components at odd multiples of 5 mHz repeat after 200 s: the series' Fourier
+    amplitudes over that time are the components', each where it belongs.
+    """
+    sea = Sea.random(
+        replace(parameters, lowest_frequency_hz=0.05, highest_frequency_hz=0.55, components=50),
+        GRAVITY,
+    )
+    elevation = sea.elevation(0.0, np.arange(0, 200, 0.5))
+    fourier = np.fft.rfft(elevation) / 200
+    expected = np.zeros(201)
+    expected[11:110:2] = sea.amplitude
+    np.testing.assert_allclose(np.abs(fourier), expected, atol=1e-12)
+    np.testing.assert_allclose(np.var(elevation), np.sum(sea.amplitude**2) / 2, rtol=1e-12)
+
+
+def test_components_follow_the_curve(sea, parameters):
+    width = (parameters.highest_frequency_hz - parameters.lowest_frequency_hz) / 60
+    frequency = sea.angular_frequency / (2 * np.pi)
+    density = jonswap_density(frequency, 3.0, 10.0, 3.3)
+    ratio = sea.amplitude**2 / (2 * width) / density
+    np.testing.assert_allclose(ratio, ratio[0], rtol=1e-12)
+    assert ratio[0] == pytest.approx(1, abs=0.02)
+    np.testing.assert_allclose(np.diff(frequency), width)
+    assert frequency[0] == pytest.approx(parameters.lowest_frequency_hz + width / 2)
+
+
+def test_one_seed_one_set_of_phases(parameters):
+    phases = [
+        Sea.random(replace(parameters, significant_height=h, peak_period=p), GRAVITY).phase
+        for h in (0.5, 3.0)
+        for p in (6.1, 8.0, 10.0)
+    ]
+    for phase in phases:
+        np.testing.assert_array_equal(phase, phases[0])
+    other = Sea.random(replace(parameters, seed=parameters.seed + 1), GRAVITY).phase
+    assert not np.any(other == phases[0])
+
+
+def test_seas_of_one_seed_are_proportional_to_height(parameters):
+    t = np.linspace(0, 60, 601)
+    low = Sea.random(replace(parameters, significant_height=0.5), GRAVITY).elevation(0.0, t)
+    high = Sea.random(replace(parameters, significant_height=3.0), GRAVITY).elevation(0.0, t)
+    np.testing.assert_allclose(high, 6 * low, atol=1e-12)
+
+
+def test_phases_leave_the_global_generator_alone(parameters):
+    np.random.seed(3)  # noqa: NPY002
+    expected = np.random.random()  # noqa: NPY002
+    np.random.seed(3)  # noqa: NPY002
+    Sea.random(parameters, GRAVITY)
+    assert np.random.random() == expected  # noqa: NPY002
+
+
+def test_a_spectrum_and_the_formula_make_the_same_sea(parameters, sea):
+    frequency = np.arange(0.0, 5.0, 1e-4)
+    spectrum = Spectrum(frequency, jonswap_density(frequency, 3.0, 10.0, 3.3))
+    same = Sea.from_spectrum(
+        spectrum,
+        (parameters.lowest_frequency_hz, parameters.highest_frequency_hz),
+        parameters.components,
+        depth=parameters.depth,
+        gravity=GRAVITY,
+        rng=np.random.default_rng(parameters.seed),
+    )
+    np.testing.assert_allclose(same.amplitude, sea.amplitude, rtol=1e-4, atol=1e-8)
+    np.testing.assert_array_equal(same.phase, sea.phase)
+
+
+def test_a_band_without_waves_is_refused():
+    spectrum = Spectrum([0.1, 0.15, 0.2], [0.0, 1.0, 0.0])
+    with pytest.raises(ValueError, match="holds none of the spectrum's waves"):
+        Sea.from_spectrum(
+            spectrum, (0.3, 0.5), 10, depth=20.0, gravity=9.81, rng=np.random.default_rng(0)
+        )
+
+
+def test_no_height_no_motion(parameters):
+    flat = Sea.random(replace(parameters, significant_height=0.0), GRAVITY)
+    still = Sea.still(20.0, GRAVITY)
+    t = np.arange(5.0)
+    for sea in (flat, still):
+        assert np.all(sea.elevation(0.0, t) == 0)
+        assert np.all(np.array(sea.velocity(0.0, -4.0, t)) == 0)
+        assert np.all(np.array(sea.acceleration(0.0, -4.0, t)) == 0)
+        assert np.all(sea.taylor_velocity(BASE, t, 3, 2) == 0)
+        assert sea.taylor_velocity(BASE, t, 3, 2).shape == (5, 4, 3)
+
+
+def test_deep_water_limit_without_overflow():
+    with np.errstate(over="raise", invalid="raise", divide="raise"):
+        wave = Sea.regular(2.0, 0.5, 1e4, GRAVITY)
+        u, w = wave.velocity(0.3, np.array([0.0, -0.1, -4.0, -1e4]), 0.2)
+        coefficients = wave.taylor_velocity((0.3, -0.1), [0.2], 2, 2)
+    frequency, number = wave.angular_frequency[0], wave.wave_number[0]
+    angle = number * 0.3 - frequency * 0.2
+    decay = frequency * np.exp(number * np.array([0.0, -0.1, -4.0, -1e4]))
+    np.testing.assert_allclose(u, decay * math.cos(angle), rtol=1e-12)
+    np.testing.assert_allclose(w, decay * math.sin(angle), rtol=1e-12)
+    assert coefficients[0, 0, 0] == pytest.approx(complex(u[1], -w[1]), rel=1e-12)
+
+
+def test_shallow_water_limit():
+    """Long waves: u = zeta sqrt(g/d) at every depth, w linear from bed to surface."""
+    depth, z, t = 0.5, np.array([0.0, -0.1, -0.25, -0.5]), -30.0
+    wave = Sea.regular(0.02, 600.0, depth, GRAVITY)
+    u, w = wave.velocity(0.0, z, t)
+    np.testing.assert_allclose(u, wave.elevation(0.0, t) * math.sqrt(GRAVITY / depth), rtol=1e-5)
+    np.testing.assert_allclose(w, w[0] * (z + depth) / depth, rtol=1e-5, atol=0)
+    assert w[0] > 0
+
+
+def test_arguments_broadcast(sea):
+    x, z, t = np.zeros((4, 1)), np.linspace(-5, -3, 3), 2.0
+    u, w = sea.velocity(x, z, t)
+    assert u.shape == w.shape == (4, 3)
+    assert sea.elevation(x, np.arange(6.0)).shape == (4, 6)
+    assert sea.acceleration(0.0, -4.0, 1.0)[0].shape == ()
+
+
+def test_components_cannot_be_changed(sea):
+    with pytest.raises(ValueError, match="read-only"):
+        sea.amplitude[0] = 1.0
+
+
+def expanded(sea, offset, delay, times, order, derivative=0):
+    """The expansion at Z_0 + offset, t_j + delay; or its derivative in time."""
+    coefficients = sea.taylor_velocity(BASE, times, *order)
+    powers = np.polynomial.polynomial.polyder(coefficients, derivative, axis=2)
+    in_time = powers @ delay ** np.arange(powers.shape[2])
+    return in_time @ offset ** np.arange(order[0] + 1)
+
+
+@pytest.mark.parametrize("period", [6.1, 10.0])
+@pytest.mark.parametrize("order", [(2, 2), (8, 2), (6, 4), (8, 5)])
+@pytest.mark.parametrize("derivative", [0, 1])
+def test_expansion_agrees_with_the_sum_within_its_bound(parameters, period, order, derivative):
+    sea = Sea.random(replace(parameters, peak_period=period), GRAVITY)
+    times = np.arange(0.05, 60, 0.1)
+    errors = []
+    for direction in np.exp(2j * np.pi * np.arange(8) / 8):
+        for delay in (-0.05, 0.05):
+            offset = 0.9 * direction
+            where = (offset.real, BASE[1] + offset.imag, times + delay)
+            field = sea.acceleration if derivative else sea.velocity
+            u, w = field(*where)
+            errors.append(
+                np.abs(expanded(sea, offset, delay, times, order, derivative) - u + 1j * w)
+            )
+    bound = sea.taylor_error_bound(
+        BASE,
+        0.9,
+        0.05,
+        space_order=order[0],
+        time_order=order[1],
+        time_derivative=derivative,
+    )
+    assert np.max(errors) <= bound + 1e-14
+    assert np.max(errors) > bound / 50
+
+
+def test_the_bound_is_attained_by_the_worst_wave():
+    """Deep water, straight above the centre: all terms left out add up."""
+    wave = Sea.regular(2.0, 3.0, 500.0, GRAVITY)
+    exact = np.array(wave.velocity(0.0, -3.1, 0.0))
+    error = abs(expanded(wave, 0.9j, 0.0, [0.0], (3, 0))[0] - complex(exact[0], -exact[1]))
+    bound = wave.taylor_error_bound(BASE, 0.9, 0.0, space_order=3, time_order=0)
+    assert error == pytest.approx(bound, rel=1e-9)
+
+
+def test_expansion_is_exact_at_its_centre(sea):
+    times = np.linspace(0, 60, 13)
+    u, w = sea.velocity(*BASE, times)
+    np.testing.assert_allclose(
+        sea.taylor_velocity(BASE, times, 4, 3)[:, 0, 0], u - 1j * w, atol=1e-14
+    )
+
+
+def test_regular_wave_solves_the_dispersion_relation():
+    wave = Sea.regular(1.0, 6.1, 20.0, GRAVITY)
+    assert wave.wave_number[0] == wave_number(2 * math.pi / 6.1, 20.0, GRAVITY)
+    with pytest.raises(ValueError, match="depth"):
+        Sea.regular(1.0, 6.1, 0.0, GRAVITY)
+
+
+def test_components_must_be_complete():
+    with pytest.raises(ValueError, match="wave_number, phase: must have one length"):
+        Sea(np.ones(3), np.ones(3), np.ones(3), np.ones(2), 20.0, GRAVITY)
