@@ -19,6 +19,7 @@ from pydantic.dataclasses import dataclass
 __all__ = [
     "ArmParameters",
     "BaselineParameters",
+    "FailureParameters",
     "FluidParameters",
     "NmpcParameters",
     "ParameterError",
@@ -155,6 +156,18 @@ class BaselineParameters:
 
 
 @dataclass(frozen=True, config=_FROZEN)
+class FailureParameters:
+    """A segment whose actuation has failed."""
+
+    segment: Annotated[int, Strict(), Field(ge=0)]
+    """Number of the failed segment, from 1; 0 for none."""
+    manner: Literal["passive", "locked"]
+    """'passive': no torque; 'locked': the bending angle cannot change."""
+    known: Annotated[bool, Strict()]
+    """Whether the NMPC's model has the failure."""
+
+
+@dataclass(frozen=True, config=_FROZEN)
 class NmpcParameters:
     """The optimal control problem of the paper and how it is solved."""
 
@@ -171,6 +184,10 @@ class NmpcParameters:
     prints a sum to K - 1, hence 0."""
     angle_bound: Annotated[float, Strict(), Field(gt=0, le=2 * math.pi, allow_inf_nan=False)]
     """Bound on every commanded angle, |q_bar_i|, in rad."""
+    torque_bound: NonNegative
+    """Soft bound on every actuation torque, in N m; 0 for none, as in the paper."""
+    torque_weight: NonNegative
+    """Weight of the square of what exceeds it, in 1/(N m)^2."""
     substeps: Annotated[int, Strict(), Field(ge=1, le=64)]
     """Steps of the predictor's integrator per control period."""
     max_iterations: Annotated[int, Strict(), Field(ge=1, le=1000)]
@@ -185,6 +202,12 @@ class NmpcParameters:
 class PreviewParameters:
     """What the controller is told of the coming sea."""
 
+    waves: Annotated[bool, Strict()]
+    """Whether it is told of the waves at all; otherwise it believes in still water."""
+    delay_periods: Annotated[int, Strict(), Field(ge=0)]
+    """Control periods by which the forecast is late."""
+    bias: Annotated[float, Strict(), Field(ge=-1, le=10, allow_inf_nan=False)]
+    """Relative error of the forecast flow."""
     noise: Literal["none", "decibel", "ratio"]
     """How 'SNR' is read: no noise, 10 log10 of the power ratio, or the power ratio."""
     signal_to_noise: Positive
@@ -228,9 +251,12 @@ class ParameterSet:
     nmpc: NmpcParameters
     preview: PreviewParameters
     simulation: SimulationParameters
+    failure: FailureParameters
 
     @model_validator(mode="after")
-    def _gains_match_segments(self) -> Self:
+    def _segments_match(self) -> Self:
+        if self.failure.segment > self.arm.segments:
+            raise ValueError(f"failure.segment at most {self.arm.segments}")
         for name in ("proportional_gain", "derivative_gain"):
             count = len(getattr(self.baseline, name))
             if count != self.arm.segments:

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from softwave_min.arm import Arm, Structure, Values, mechanics
-from softwave_min.control.baseline import feedforward_pd
+from softwave_min.control.baseline import InnerLoop
 from softwave_min.control.predictor import step_function
-from softwave_min.parameters import BaselineParameters, SimulationParameters
+from softwave_min.parameters import SimulationParameters
 
 __all__ = ["CvodesPlant", "ExtrapolatedPlant", "Plant", "RungeKuttaPlant", "rate_function"]
 
@@ -26,7 +26,11 @@ Floats = NDArray[np.float64]
 
 
 class Plant(Protocol):
-    """Anything that moves the state on by a control period."""
+    """Anything that moves the state on by a control period.
+
+    Those below are made of the arm, the packed ``InnerLoop``, the parameters and the
+    control period in s.
+    """
 
     def advance(self, state: Floats, q_bar: Floats, flow: Floats) -> Floats:
         """State (q, qd) one period later, (2 n,).
@@ -45,11 +49,12 @@ def rate_function(structure: Structure) -> ca.Function:
     n = structure.segments
     x, time = ca.SX.sym("x", 2 * n), ca.SX.sym("time")
     q_bar, flow = ca.SX.sym("q_bar", n), ca.SX.sym("flow", structure.flow_size)
-    gains, packed = ca.SX.sym("gains", 2 * n), ca.SX.sym("values", Values.size(n))
+    gains, packed = ca.SX.sym("gains", InnerLoop.size(n)), ca.SX.sym("values", Values.size(n))
     values = Values.unpacked(packed, n)
     terms = mechanics(structure, x[:n], x[n:], values)
-    torque = feedforward_pd(structure, values, gains, q_bar, x)
-    rate = ca.vertcat(x[n:], terms.acceleration(torque + terms.fluid_load(flow, time)))
+    loop = InnerLoop.unpacked(gains, n)
+    force = loop.torque(structure, values, q_bar, x) + terms.fluid_load(flow, time)
+    rate = ca.vertcat(x[n:], terms.acceleration(force, loop.locked))
     inputs = [x, time, q_bar, flow, gains, packed]
     return ca.Function("rate", inputs, ca.cse([rate]))
 
@@ -60,11 +65,11 @@ class CvodesPlant:
     def __init__(
         self,
         arm: Arm,
-        gains: BaselineParameters,
+        gains: Floats,
         parameters: SimulationParameters,
         period: float,
     ) -> None:
-        self._fixed = np.concatenate([gains.proportional_gain, gains.derivative_gain, arm.values])
+        self._fixed = np.concatenate([gains, arm.values])
         self._integrator = _cvodes(arm.structure, parameters, period)
 
     def advance(self, state: Floats, q_bar: Floats, flow: Floats) -> Floats:
@@ -78,7 +83,7 @@ class CvodesPlant:
 def _cvodes(structure: Structure, parameters: SimulationParameters, period: float) -> ca.Function:
     n = structure.segments
     x, time = ca.SX.sym("x", 2 * n), ca.SX.sym("time")
-    sizes = [n, structure.flow_size, 2 * n, Values.size(n)]
+    sizes = [n, structure.flow_size, InnerLoop.size(n), Values.size(n)]
     held = [ca.SX.sym("held", size) for size in sizes]
     rate = rate_function(structure)(x, time, *held)
     problem = {"x": x, "t": time, "p": ca.vertcat(*held), "ode": rate}
@@ -97,13 +102,12 @@ class RungeKuttaPlant:
     def __init__(
         self,
         arm: Arm,
-        gains: BaselineParameters,
+        gains: Floats,
         parameters: SimulationParameters,
         period: float,
     ) -> None:
         self._rate = rate_function(arm.structure)
-        self._gains = np.array([*gains.proportional_gain, *gains.derivative_gain])
-        self._values = arm.values
+        self._gains, self._values = gains, arm.values
         self._parameters = parameters
         self._half = period / 2
 
@@ -138,12 +142,12 @@ class ExtrapolatedPlant:
     def __init__(
         self,
         arm: Arm,
-        gains: BaselineParameters,
+        gains: Floats,
         parameters: SimulationParameters,
         period: float,
     ) -> None:
         self._step = step_function(arm.structure)
-        self._fixed = [np.array([*gains.proportional_gain, *gains.derivative_gain]), arm.values]
+        self._fixed = (gains, arm.values)
         self._count, self._columns = parameters.extrapolated_steps, parameters.extrapolation_columns
         self._period = period
 

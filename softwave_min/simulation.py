@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from softwave_min.arm import Arm, pack_flow
-from softwave_min.control.baseline import KinematicPlanner
+from softwave_min.control.baseline import InnerLoop, KinematicPlanner
 from softwave_min.control.engine import Engine
 from softwave_min.control.nmpc import GaussNewton, Problem, Solution, Solver, Status
 from softwave_min.control.preview import Preview, noise_deviation
@@ -26,6 +27,7 @@ __all__ = [
     "NmpcController",
     "Scenario",
     "SimulationError",
+    "Source",
     "engine_or_none",
     "plant_of",
     "root_mean_square_error",
@@ -39,6 +41,17 @@ class SimulationError(RuntimeError):
     """A run cannot go on: a number is not finite."""
 
 
+class Source(IntEnum):
+    """Where a command comes from."""
+
+    CONTROLLER = 0
+    """The controller itself."""
+    FORMER_PLAN = 1
+    """A solve failed: the plan of an earlier one goes on."""
+    PLANNER = 2
+    """Solves failed for a whole horizon: the kinematic planner takes over."""
+
+
 @dataclass(frozen=True)
 class Command:
     """What a controller answers at one instant."""
@@ -47,6 +60,7 @@ class Command:
     """Commanded angles for the coming period, (n,) in rad."""
     solution: Solution | None = None
     """The solve behind it, where there was one."""
+    source: Source = Source.CONTROLLER
 
 
 class Controller(Protocol):
@@ -74,20 +88,36 @@ class Scenario:
         cls,
         parameters: ParameterSet,
         sea: Sea,
-        target: tuple[float, float],
-        initial_angles: tuple[float, ...] | None = None,
+        target: ArrayLike,
+        initial_angles: ArrayLike | None = None,
     ) -> Scenario:
-        """Regulate the tip to a fixed ``target`` (x, z), in m, from the straight arm."""
+        """Bring the tip to ``target`` from rest, straight unless ``initial_angles`` say else.
+
+        ``target`` is one point (x, z), in m, or the desired point at every control
+        instant, (steps + 1 + K, 2); a shorter path stays at its last point.
+        """
         arm = Arm(parameters.arm, parameters.fluid)
         steps, horizon = _steps(parameters), parameters.nmpc.horizon
-        targets = np.tile(np.asarray(target, dtype=float), (steps + 1 + horizon, 1))
+        path = np.atleast_2d(np.asarray(target, dtype=float))
+        targets = path[np.minimum(np.arange(steps + 1 + horizon), len(path) - 1)]
         return cls(
             parameters,
             arm,
             targets,
             expanded_flow(parameters, arm, sea),
-            np.zeros(arm.segments) if initial_angles is None else np.array(initial_angles),
+            np.zeros(arm.segments) if initial_angles is None else np.asarray(initial_angles, float),
         )
+
+    @property
+    def gains(self) -> Floats:
+        """Packed inner loop of the plant, with the failure if there is one."""
+        return InnerLoop.packed(self.parameters.baseline, self.parameters.failure)
+
+    @property
+    def believed_gains(self) -> Floats:
+        """Packed inner loop as the NMPC's model has it."""
+        failure = self.parameters.failure
+        return InnerLoop.packed(self.parameters.baseline, failure if failure.known else None)
 
     @property
     def period(self) -> float:
@@ -145,20 +175,26 @@ def engine_or_none(scenario: Scenario) -> Engine | None:
     if compiler() is None:
         return None
     parameters = scenario.parameters
-    return Engine(scenario.arm, parameters.baseline, parameters.nmpc, parameters.simulation)
+    return Engine(
+        scenario.arm,
+        scenario.believed_gains,
+        scenario.gains,
+        parameters.nmpc,
+        parameters.simulation,
+    )
 
 
 def solver_of(scenario: Scenario) -> Solver:
     """The solver that the scenario's parameters ask for, compiled where possible."""
     parameters = scenario.parameters
     engine = engine_or_none(scenario)
-    return engine or GaussNewton(scenario.arm, parameters.baseline, parameters.nmpc)
+    return engine or GaussNewton(scenario.arm, scenario.believed_gains, parameters.nmpc)
 
 
 def plant_of(scenario: Scenario) -> Plant:
     """The plant with the integrator that the parameters ask for, compiled where possible."""
     parameters = scenario.parameters
-    arguments = (scenario.arm, parameters.baseline, parameters.simulation, scenario.period)
+    arguments = (scenario.arm, scenario.gains, parameters.simulation, scenario.period)
     match parameters.simulation.integrator:
         case "cvodes":
             return CvodesPlant(*arguments)
@@ -180,7 +216,11 @@ class BaselineController:
 
 
 class NmpcController:
-    """The NMPC behind its preview, warm-started with its shifted former plan."""
+    """The NMPC behind its preview, warm-started with its shifted former plan.
+
+    A plan that is not finite is not applied. The former plan goes on in its place, and
+    when that is used up the kinematic planner; both are recorded with the command.
+    """
 
     def __init__(self, scenario: Scenario, solver: Solver | None = None) -> None:
         parameters = scenario.parameters
@@ -189,19 +229,27 @@ class NmpcController:
         deviation = noise_deviation(parameters.preview, scenario.held_loads())
         self._preview = Preview(scenario.flow, deviation, self._horizon, parameters.preview)
         self._targets = scenario.targets
+        self._planned = scenario.planned_angles()
         self._previous = scenario.initial_angles
         self._plan = np.tile(scenario.initial_angles, (self._horizon, 1))
+        self._failures = 0
 
     def command(self, step: int, state: Floats) -> Command:
         """First input of the optimal plan from ``state``."""
         reference = self._targets[step + 1 : step + 1 + self._horizon]
         problem = Problem(state, self._previous, reference, self._preview.at(step))
         solution = self._solver.solve(problem, self._plan)
-        if solution.status is Status.NOT_FINITE:
-            raise SimulationError(f"the prediction at step {step} is not finite")
-        self._previous = solution.inputs[0]
-        self._plan = np.vstack([solution.inputs[1:], solution.inputs[-1:]])
-        return Command(solution.inputs[0], solution)
+        source = Source.CONTROLLER
+        if solution.status is not Status.NOT_FINITE:
+            self._failures, plan = 0, solution.inputs
+        else:
+            self._failures += 1
+            plan, source = self._plan, Source.FORMER_PLAN
+            if self._failures >= self._horizon:
+                plan, source = np.tile(self._planned[step], (self._horizon, 1)), Source.PLANNER
+        self._previous = plan[0]
+        self._plan = np.vstack([plan[1:], plan[-1:]])
+        return Command(plan[0], solution, source)
 
 
 @dataclass(frozen=True)
@@ -228,6 +276,8 @@ class ClosedLoop:
     """(T,), status of each solve, -1 where there was none."""
     iterations: NDArray[np.int64]
     """(T,), iterations of each solve, 0 where there was none."""
+    source: NDArray[np.int64]
+    """(T,), where each command comes from, see ``Source``."""
 
     @property
     def error(self) -> Floats:
@@ -270,11 +320,12 @@ def simulate(scenario: Scenario, controller: Controller) -> ClosedLoop:
 
 
 def _record(scenario: Scenario, states: Floats, commands: list[Command]) -> ClosedLoop:
-    arm, parameters, steps = scenario.arm, scenario.parameters, scenario.steps
+    arm, steps = scenario.arm, scenario.steps
     q, qd = np.hsplit(states, 2)
     q_bar = np.array([command.q_bar for command in commands])
+    proportional, derivative, actuated, _ = np.split(scenario.gains, 4)
     feedforward = arm.stiffness_vector(q_bar) + arm.gravity_vector(q_bar)
-    feedback = parameters.baseline.proportional_gain * (q_bar - q[:-1])
+    feedback = proportional * (q_bar - q[:-1]) - derivative * qd[:-1]
     flow = scenario.flow[:steps]
     solutions = [command.solution for command in commands]
     return ClosedLoop(
@@ -284,8 +335,9 @@ def _record(scenario: Scenario, states: Floats, commands: list[Command]) -> Clos
         q_bar=q_bar,
         tips=arm.segment_tips(q),
         target=scenario.targets[: steps + 1],
-        torque=feedforward + feedback - np.asarray(parameters.baseline.derivative_gain) * qd[:-1],
+        torque=actuated * (feedforward + feedback),
         wave_torque=arm.fluid_load(q[:-1], qd[:-1], flow, time=-scenario.period / 2),
         status=np.array([-1 if one is None else one.status for one in solutions]),
         iterations=np.array([0 if one is None else one.iterations for one in solutions]),
+        source=np.array([int(command.source) for command in commands]),
     )

@@ -30,15 +30,15 @@ def scenario_at(nominal, pose="P3", duration=3.0, **nmpc):
 def solvers(scenario):
     p = scenario.parameters
     return (
-        GaussNewton(scenario.arm, p.baseline, p.nmpc),
-        Engine(scenario.arm, p.baseline, p.nmpc, p.simulation),
+        GaussNewton(scenario.arm, scenario.believed_gains, p.nmpc),
+        Engine(scenario.arm, scenario.believed_gains, scenario.gains, p.nmpc, p.simulation),
     )
 
 
 def recorded_problems(scenario, count):
     """Problems and guesses that a closed loop under the NumPy solver meets."""
     p = scenario.parameters
-    solver = GaussNewton(scenario.arm, p.baseline, p.nmpc)
+    solver = GaussNewton(scenario.arm, scenario.believed_gains, p.nmpc)
     deviation = noise_deviation(p.preview, scenario.held_loads())
     preview = Preview(scenario.flow, deviation, p.nmpc.horizon, p.preview)
     plant = plant_of(scenario)
@@ -83,7 +83,7 @@ def test_the_jacobian_of_the_residuals_is_their_derivative(nominal):
 
 def first_solver(scenario):
     p = scenario.parameters
-    return GaussNewton(scenario.arm, p.baseline, p.nmpc)
+    return GaussNewton(scenario.arm, scenario.believed_gains, p.nmpc)
 
 
 def test_the_cost_is_the_one_that_the_paper_prints(nominal):

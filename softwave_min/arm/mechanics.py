@@ -307,9 +307,14 @@ class Mechanics:
         elastic = self.values.damping * self.qd + self.values.stiffness * self.q
         return self.coriolis + elastic + self.gravity
 
-    def acceleration(self, force: ca.SX) -> ca.SX:
-        """Angular accelerations under torques and load of the water together, in rad/s^2."""
-        return solve_symmetric(self.inertia, force - self.passive_force())
+    def acceleration(self, force: ca.SX, locked: ca.SX) -> ca.SX:
+        """Angular accelerations under torques and load of the water together, in rad/s^2.
+
+        ``locked`` is 1 for each angle that cannot change, else 0.
+        """
+        free = ca.diag(1 - locked)
+        inertia = free @ self.inertia @ free + ca.diag(locked)
+        return solve_symmetric(inertia, free @ (force - self.passive_force()))
 
     def offset(self, point: BodyPoint) -> ca.SX:
         """Position from the base, about which the flow is expanded, in m."""

@@ -13,31 +13,73 @@ and a feed-forward with PD feedback turns them into torques,
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from softwave_min.arm import Arm, Structure, Values, mechanics
-from softwave_min.parameters import BaselineParameters
+from softwave_min.parameters import BaselineParameters, FailureParameters
 
-__all__ = ["KinematicPlanner", "feedforward_pd"]
+__all__ = ["InnerLoop", "KinematicPlanner"]
 
 Floats = NDArray[np.float64]
 
 
-def feedforward_pd(
-    structure: Structure, values: Values, gains: ca.SX, q_bar: ca.SX, x: ca.SX
-) -> ca.SX:
-    """Torque of the feed-forward + PD law, in N m.
+@dataclass(frozen=True)
+class InnerLoop:
+    """Symbols (or numbers) of the feed-forward + PD law and of a failure, each (n,)."""
 
-    ``gains`` is (2 n,): the diagonals of alpha, in N m/rad, and beta, in N m s/rad;
-    ``x`` is the state (q, qd).
-    """
-    q, qd = ca.vertsplit(x, structure.segments)
-    proportional, derivative = ca.vertsplit(gains, structure.segments)
-    gravity = mechanics(structure, q_bar, ca.SX.zeros(q_bar.shape), values).gravity
-    feedforward = values.stiffness * q_bar + gravity
-    return feedforward + proportional * (q_bar - q) - derivative * qd
+    proportional: ca.SX
+    """Diagonal of alpha, in N m/rad."""
+    derivative: ca.SX
+    """Diagonal of beta, in N m s/rad."""
+    actuated: ca.SX
+    """1 where the segment's torque acts, 0 where it has failed."""
+    locked: ca.SX
+    """1 where the bending angle cannot change, else 0."""
+
+    @staticmethod
+    def size(segments: int) -> int:
+        """Length of the packed vector."""
+        return 4 * segments
+
+    @classmethod
+    def unpacked(cls, vector: ca.SX, segments: int) -> InnerLoop:
+        """Take the packed vector apart."""
+        return cls(*ca.vertsplit(vector, segments))
+
+    @staticmethod
+    def packed(gains: BaselineParameters, failure: FailureParameters | None) -> Floats:
+        """Vector of the numbers; without ``failure`` all segments work."""
+        n = len(gains.proportional_gain)
+        failed, locked = np.zeros(n), np.zeros(n)
+        if failure is not None and failure.segment:
+            failed[failure.segment - 1] = 1.0
+            locked[failure.segment - 1] = float(failure.manner == "locked")
+        return np.concatenate(
+            [gains.proportional_gain, gains.derivative_gain, 1.0 - failed, locked]
+        )
+
+    def torque(self, structure: Structure, values: Values, q_bar: ca.SX, x: ca.SX) -> ca.SX:
+        """Torque under the command ``q_bar`` in the state x = (q, qd), in N m."""
+        q, qd = ca.vertsplit(x, structure.segments)
+        gravity = mechanics(structure, q_bar, ca.SX.zeros(q_bar.shape), values).gravity
+        feedforward = values.stiffness * q_bar + gravity
+        feedback = self.proportional * (q_bar - q) - self.derivative * qd
+        return self.actuated * (feedforward + feedback)
+
+    def torque_by_command(self, structure: Structure, values: Values, q_bar: ca.SX) -> ca.SX:
+        """Derivative of the torque by the command, n x n, in N m/rad."""
+        commanded = mechanics(structure, q_bar, ca.SX.zeros(q_bar.shape), values)
+        slope = ca.diag(values.stiffness + self.proportional) + commanded.gravity_gradient
+        return ca.diag(self.actuated) @ slope
+
+    def torque_by_state(self) -> ca.SX:
+        """Derivative of the torque by (q, qd), n x 2 n."""
+        gains = ca.horzcat(ca.diag(self.proportional), ca.diag(self.derivative))
+        return -ca.diag(self.actuated) @ gains
 
 
 class KinematicPlanner:

@@ -21,11 +21,11 @@ enum status { CONVERGED, ITERATION_LIMIT, NO_DECREASE, NOT_FINITE };
 typedef struct {
     int segments, horizon, flow_size;
     int max_iterations, real_time;
-    double tip_scale, terminal_scale, step_scale; /* square roots of the weights */
-    double angle_bound, tolerance;
+    double tip_scale, terminal_scale, step_scale, torque_scale; /* roots of the weights */
+    double angle_bound, torque_bound, tolerance; /* a torque bound of 0 is none */
     int plant_steps, plant_columns; /* per period; columns of the extrapolation */
     double period;
-    const double *gains, *values;
+    const double *gains, *plant_gains, *values; /* the controller's belief, and the truth */
     double *work;      /* doubles of engine_work() */
     double *model_w;   /* work of the generated functions */
     long long *model_iw;
@@ -43,7 +43,9 @@ typedef struct {
 /* Pieces of the work array, in order. */
 typedef struct {
     double *a, *b, *tips, *tip_jacobian, *states; /* of the current rollout */
+    double *torques, *torque_by_state, *torque_by_input;
     double *motion, *previous_motion, *sensitivity;
+    double *row;
     double *hessian, *factor, *gradient, *direction, *trial, *residual;
     double *multiplier;
     int *set;
@@ -64,6 +66,10 @@ static pieces cut(const engine *e, double *work) {
     p.tips = take(&work, 2 * k);
     p.tip_jacobian = take(&work, k * 2 * n);
     p.states = take(&work, (k + 1) * x);
+    p.torques = take(&work, size);
+    p.torque_by_state = take(&work, k * n * x);
+    p.torque_by_input = take(&work, k * n * n);
+    p.row = take(&work, size);
     p.motion = take(&work, x * size);
     p.previous_motion = take(&work, x * size);
     p.sensitivity = take(&work, 2 * k * size);
@@ -81,14 +87,19 @@ static pieces cut(const engine *e, double *work) {
 
 int engine_work(int n, int k) {
     int x = 2 * n, size = n * k;
-    return k * (x * x + x * n + 2 + 2 * n) + (k + 1) * x + 2 * x * size + 2 * k * size +
-           2 * size * size + 6 * size + MOST_COLUMNS * x + x;
+    return k * (x * x + x * n + 2 + 2 * n + n * x + n * n) + (k + 1) * x + 2 * x * size +
+           2 * k * size + 2 * size * size + 8 * size + MOST_COLUMNS * x + x;
 }
 
 static double largest(const double *v, int count) {
     double most = 0;
     for (int i = 0; i < count; i++) most = fmax(most, fabs(v[i]));
     return most;
+}
+
+static double torque_excess(const engine *e, double torque) {
+    if (e->torque_bound == 0 || fabs(torque) <= e->torque_bound) return 0;
+    return torque - copysign(e->torque_bound, torque);
 }
 
 /* Roll the model out under the inputs; the cost, or NaN where it is not finite. */
@@ -100,8 +111,15 @@ static double roll_out(const engine *e, const task *t, const double *inputs, pie
         double *tip = p->tips + 2 * k;
         const double *arg[6 + 64] = {p->states + x * k, inputs + n * k, t->flow + e->flow_size * k,
                                 t->disturbance + n * k, e->gains, e->values};
-        double *res[5 + 64] = {p->states + x * (k + 1), p->a + x * x * k, p->b + x * n * k, tip,
-                          p->tip_jacobian + 2 * n * k};
+        double *torque = p->torques + n * k;
+        double *res[8 + 64] = {p->states + x * (k + 1),
+                               p->a + x * x * k,
+                               p->b + x * n * k,
+                               tip,
+                               p->tip_jacobian + 2 * n * k,
+                               torque,
+                               p->torque_by_state + n * x * k,
+                               p->torque_by_input + n * n * k};
         predictor_stage(arg, res, e->model_iw, e->model_w, 0);
         double scale = k + 1 < e->horizon ? e->tip_scale : e->terminal_scale;
         for (int i = 0; i < 2; i++) {
@@ -111,10 +129,37 @@ static double roll_out(const engine *e, const task *t, const double *inputs, pie
         const double *before = k ? inputs + n * (k - 1) : t->previous;
         for (int i = 0; i < n; i++) {
             double change = e->step_scale * (inputs[n * k + i] - before[i]);
-            cost += change * change;
+            double excess = e->torque_scale * torque_excess(e, torque[i]);
+            cost += change * change + excess * excess;
         }
     }
     return cost;
+}
+
+/* Add a residual with its row of derivatives to Hessian and half gradient. */
+static void add_row(pieces *p, int size, int columns, const double *row, double residual) {
+    for (int i = 0; i < columns; i++) {
+        double factor = row[i], *h = p->hessian + i * size;
+        p->gradient[i] += factor * residual;
+        for (int c = i; c < columns; c++) h[c] += factor * row[c];
+    }
+}
+
+/* The torques beyond their bound, period k; motion is still that before the period. */
+static void add_torques(const engine *e, pieces *p, int k) {
+    int n = e->segments, x = 2 * n, size = n * e->horizon, known = n * k;
+    for (int i = 0; i < n; i++) {
+        double excess = e->torque_scale * torque_excess(e, p->torques[n * k + i]);
+        if (excess == 0) continue;
+        for (int c = 0; c < known; c++) p->row[c] = 0;
+        for (int m = 0; m < x; m++) {
+            double factor = e->torque_scale * p->torque_by_state[n * x * k + i + n * m];
+            for (int c = 0; c < known; c++) p->row[c] += factor * p->motion[m * size + c];
+        }
+        for (int m = 0; m < n; m++)
+            p->row[known + m] = e->torque_scale * p->torque_by_input[n * n * k + i + n * m];
+        add_row(p, size, known + n, p->row, excess);
+    }
 }
 
 /* Gauss-Newton Hessian (upper triangle) and half the gradient of the last rollout. */
@@ -135,6 +180,7 @@ static void condense(const engine *e, const task *t, const double *inputs, piece
     for (int k = 0; k < e->horizon; k++) {
         const double *a = p->a + x * x * k, *b = p->b + x * n * k, *j = p->tip_jacobian + 2 * n * k;
         int known = n * k, columns = known + n;
+        if (e->torque_bound > 0) add_torques(e, p, k);
         double *swap = p->motion;
         p->motion = p->previous_motion;
         p->previous_motion = swap;
@@ -158,12 +204,7 @@ static void condense(const engine *e, const task *t, const double *inputs, piece
                 const double *in = p->motion + m * size;
                 for (int c = 0; c < columns; c++) g[c] += factor * in[c];
             }
-            if (scale == 0) continue;
-            for (int i = 0; i < columns; i++) {
-                double gi = g[i], *h = p->hessian + i * size;
-                p->gradient[i] += gi * error;
-                for (int c = i; c < columns; c++) h[c] += gi * g[c];
-            }
+            if (scale > 0) add_row(p, size, columns, g, error);
         }
     }
 }
@@ -308,7 +349,7 @@ void plant_advance(const engine *e, const double *state, const double *q_bar, co
             for (int i = 0; i < x; i++) now[i] = end[i];
             for (int m = 0; m <= j; m++) {
                 double time = start + (m + 1) * h;
-                const double *arg[7 + 64] = {now, q_bar, flow, &time, &h, e->gains, e->values};
+                const double *arg[7 + 64] = {now, q_bar, flow, &time, &h, e->plant_gains, e->values};
                 double *res[1 + 64] = {row};
                 plant_step(arg, res, e->model_iw, e->model_w, 0);
                 for (int i = 0; i < x; i++) now[i] = row[i];
@@ -323,4 +364,27 @@ void plant_advance(const engine *e, const double *state, const double *q_bar, co
         }
         for (int i = 0; i < x; i++) end[i] = p.tableau[i];
     }
+}
+
+/* A closed loop: solve, apply, move on. Returns the number of steps done; it ends early
+ * only where a plan is not finite, which the caller's fallback has to handle. */
+int closed_loop(const engine *e, int steps, const double *targets, const double *sea,
+                const double *told, const double *disturbance, double *plan, double *states,
+                double *q_bar, int *statuses, int *iterations) {
+    int n = e->segments, x = 2 * n, size = n * e->horizon;
+    double previous[64];
+    for (int i = 0; i < n; i++) previous[i] = plan[i];
+    for (int s = 0; s < steps; s++) {
+        task t = {states + x * s, previous, targets + 2 * (s + 1), told + e->flow_size * s,
+                  disturbance + (long)size * s};
+        outcome out;
+        nmpc_solve(e, &t, plan, &out);
+        statuses[s] = out.status;
+        iterations[s] = out.iterations;
+        if (out.status == NOT_FINITE) return s;
+        for (int i = 0; i < n; i++) q_bar[n * s + i] = previous[i] = plan[i];
+        plant_advance(e, states + x * s, previous, sea + e->flow_size * s, states + x * (s + 1));
+        for (int i = 0; i < size - n; i++) plan[i] = plan[i + n];
+    }
+    return steps;
 }

@@ -19,12 +19,13 @@ from softwave_min.arm import Arm
 from softwave_min.control.nmpc import Problem, Solution, Status, scales
 from softwave_min.control.predictor import stage_function, step_function
 from softwave_min.native import build
-from softwave_min.parameters import BaselineParameters, NmpcParameters, SimulationParameters
+from softwave_min.parameters import NmpcParameters, SimulationParameters
 
 __all__ = ["Engine"]
 
 Floats = NDArray[np.float64]
 _DOUBLES = ctypes.POINTER(ctypes.c_double)
+_INTS = ctypes.POINTER(ctypes.c_int)
 
 
 class _Engine(ctypes.Structure):
@@ -32,10 +33,11 @@ class _Engine(ctypes.Structure):
         *((name, ctypes.c_int) for name in ("segments", "horizon", "flow_size")),
         *((name, ctypes.c_int) for name in ("max_iterations", "real_time")),
         *((name, ctypes.c_double) for name in ("tip_scale", "terminal_scale", "step_scale")),
-        *((name, ctypes.c_double) for name in ("angle_bound", "tolerance")),
+        *((name, ctypes.c_double) for name in ("torque_scale", "angle_bound", "torque_bound")),
+        ("tolerance", ctypes.c_double),
         *((name, ctypes.c_int) for name in ("plant_steps", "plant_columns")),
         ("period", ctypes.c_double),
-        *((name, _DOUBLES) for name in ("gains", "values", "work", "model_w")),
+        *((name, _DOUBLES) for name in ("gains", "plant_gains", "values", "work", "model_w")),
         ("model_iw", ctypes.POINTER(ctypes.c_longlong)),
     )
 
@@ -61,7 +63,8 @@ class Engine:
     Parameters
     ----------
     arm : Arm
-    gains : BaselineParameters
+    gains, plant_gains : array, (4 n,)
+        Packed ``InnerLoop`` as the controller believes it to be, and as it is.
     nmpc : NmpcParameters
     plant : SimulationParameters
 
@@ -74,7 +77,8 @@ class Engine:
     def __init__(
         self,
         arm: Arm,
-        gains: BaselineParameters,
+        gains: Floats,
+        plant_gains: Floats,
         nmpc: NmpcParameters,
         plant: SimulationParameters,
     ) -> None:
@@ -85,7 +89,8 @@ class Engine:
         self._library = _library(functions)
         # The arrays must live as long as the pointers to them.
         self._kept = [
-            np.array([*gains.proportional_gain, *gains.derivative_gain]),
+            np.array(gains, dtype=float),
+            np.array(plant_gains, dtype=float),
             arm.values,
             np.zeros(self._library.engine_work(arm.segments, nmpc.horizon)),
             np.zeros(max(function.sz_w() for function in functions) + 1),
@@ -99,7 +104,9 @@ class Engine:
             nmpc.max_iterations,
             int(nmpc.real_time),
             *scales(nmpc),
+            np.sqrt(nmpc.torque_weight),
             nmpc.angle_bound,
+            nmpc.torque_bound,
             nmpc.tolerance,
             plant.extrapolated_steps,
             plant.extrapolation_columns,
@@ -136,6 +143,34 @@ class Engine:
             ctypes.byref(self._engine), *(_pointer(array) for array in arrays), _pointer(end)
         )
         return end
+
+    def run(
+        self,
+        initial: Floats,
+        targets: Floats,
+        flow: Floats,
+        told: Floats,
+        disturbance: Floats,
+    ) -> tuple[Floats, Floats, NDArray[np.intc], NDArray[np.intc]]:
+        """A whole closed loop: states (T + 1, 2 n), commands (T, n), statuses, iterations.
+
+        ``initial`` is the first state, at rest under its own angles as command;
+        ``disturbance`` holds the load noise of every forecast, (T, K, n). The loop ends
+        before a step whose plan is not finite, and the arrays with it.
+        """
+        steps, horizon, n = disturbance.shape
+        states, q_bar = np.zeros((steps + 1, 2 * n)), np.zeros((steps, n))
+        states[0] = initial
+        plan = np.tile(initial[:n], (horizon, 1))
+        statuses, iterations = np.zeros(steps, np.intc), np.zeros(steps, np.intc)
+        inputs = [np.ascontiguousarray(one) for one in (targets, flow, told, disturbance)]
+        done = self._library.closed_loop(
+            ctypes.byref(self._engine),
+            steps,
+            *(_pointer(array) for array in (*inputs, plan, states, q_bar)),
+            *(array.ctypes.data_as(_INTS) for array in (statuses, iterations)),
+        )
+        return states[: done + 1], q_bar[:done], statuses[:done], iterations[:done]
 
 
 def _pointer(array: Floats) -> ctypes._Pointer[ctypes.c_double]:

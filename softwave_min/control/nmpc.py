@@ -23,7 +23,7 @@ from scipy.optimize import lsq_linear
 from softwave_min.arm import Arm
 from softwave_min.control.predictor import rollout_function
 from softwave_min.control.preview import Forecast
-from softwave_min.parameters import BaselineParameters, NmpcParameters
+from softwave_min.parameters import NmpcParameters
 
 __all__ = ["GaussNewton", "Problem", "Rollout", "Solution", "Solver", "Status", "scales"]
 
@@ -79,6 +79,10 @@ class Rollout:
     """(K, 2), the tip after each period, in m."""
     sensitivity: Floats
     """(2 K, n K), derivative of the tips by the inputs, in m/rad."""
+    torques: Floats
+    """(K, n), actuation torque at the start of each period, in N m."""
+    torque_sensitivity: Floats
+    """(n K, n K), derivative of the torques by the inputs, in N m/rad."""
 
 
 @dataclass(frozen=True)
@@ -112,16 +116,16 @@ class GaussNewton:
     ----------
     arm : Arm
         Model that the predictor uses.
-    baseline : BaselineParameters
-        Gains of the inner feed-forward + PD loop.
+    gains : array, (4 n,)
+        Packed ``InnerLoop``: the loop that the commands go to, as the model has it.
     parameters : NmpcParameters
     """
 
-    def __init__(self, arm: Arm, baseline: BaselineParameters, parameters: NmpcParameters) -> None:
+    def __init__(self, arm: Arm, gains: Floats, parameters: NmpcParameters) -> None:
         self.parameters = parameters
         self._segments = arm.segments
         self._values = arm.values
-        self._gains = np.array([*baseline.proportional_gain, *baseline.derivative_gain])
+        self._gains = gains
         self._rollout = rollout_function(
             arm.structure, parameters.control_period, parameters.substeps, parameters.horizon
         )
@@ -166,8 +170,16 @@ class GaussNewton:
         changes = self._difference @ inputs.ravel()
         changes[: self._segments] -= np.sqrt(self.parameters.step_weight) * problem.previous
         errors = self._tip_scale * (rollout.tips - problem.reference).ravel()
-        jacobian = np.vstack([self._tip_scale[:, None] * rollout.sensitivity, self._difference])
-        return np.concatenate([errors, changes]), jacobian
+        parts = [errors, changes]
+        slopes = [self._tip_scale[:, None] * rollout.sensitivity, self._difference]
+        bound = self.parameters.torque_bound
+        if bound > 0:
+            scale = np.sqrt(self.parameters.torque_weight)
+            torques = rollout.torques.ravel()
+            parts.append(scale * (torques - np.clip(torques, -bound, bound)))
+            exceeds = scale * (np.abs(torques) > bound)
+            slopes.append(exceeds[:, None] * rollout.torque_sensitivity)
+        return np.concatenate(parts), np.vstack(slopes)
 
     def step(self, inputs: Floats, residual: Floats, jacobian: Floats) -> Floats:
         """Minimise the linearised sum of squares within the bounds, (K, n)."""
@@ -193,14 +205,20 @@ class GaussNewton:
                 np.tile(self._values[:, None], horizon),
             ]
         )
-        states, by_state, by_input, tips, jacobians = (part.full() for part in answer)
+        states, by_state, by_input, tips, jacobians, torques, torque_by_state, torque_by_input = (
+            part.full() for part in answer
+        )
         sensitivity = np.zeros((2 * horizon, n * horizon))
+        torque_sensitivity = np.zeros((n * horizon, n * horizon))
         motion = np.zeros((2 * n, n * horizon))
         for k in range(horizon):
-            motion = by_state[:, 2 * n * k : 2 * n * (k + 1)] @ motion
-            motion[:, n * k : n * (k + 1)] = by_input[:, n * k : n * (k + 1)]
-            sensitivity[2 * k : 2 * k + 2] = jacobians[:, n * k : n * (k + 1)] @ motion[:n]
-        return Rollout(states.T, tips.T, sensitivity)
+            states_at, inputs_at = slice(2 * n * k, 2 * n * (k + 1)), slice(n * k, n * (k + 1))
+            torque_sensitivity[inputs_at] = torque_by_state[:, states_at] @ motion
+            torque_sensitivity[inputs_at, inputs_at] = torque_by_input[:, inputs_at]
+            motion = by_state[:, states_at] @ motion
+            motion[:, inputs_at] = by_input[:, inputs_at]
+            sensitivity[2 * k : 2 * k + 2] = jacobians[:, inputs_at] @ motion[:n]
+        return Rollout(states.T, tips.T, sensitivity, torques.T, torque_sensitivity)
 
     def _difference_matrix(self) -> Floats:
         """Weighted map from the stacked inputs to their changes, q_bar_{-1} aside."""

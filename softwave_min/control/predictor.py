@@ -24,7 +24,7 @@ from softwave_min.arm.dynamics import solve_symmetric
 from softwave_min.arm.hydrodynamics import flow_at, flow_gradient
 from softwave_min.arm.kinematics import BodyPoint
 from softwave_min.arm.mechanics import flow_coefficients
-from softwave_min.control.baseline import feedforward_pd
+from softwave_min.control.baseline import InnerLoop
 
 __all__ = ["rollout_function", "stage_function", "step_function"]
 
@@ -49,7 +49,7 @@ class _Period:
             q_bar=ca.SX.sym("q_bar", n),
             flow=ca.SX.sym("flow", structure.flow_size),
             disturbance=ca.SX.sym("disturbance", n),
-            gains=ca.SX.sym("gains", 2 * n),
+            gains=ca.SX.sym("gains", InnerLoop.size(n)),
             packed=ca.SX.sym("values", Values.size(n)),
         )
 
@@ -57,6 +57,11 @@ class _Period:
     def symbols(self) -> list[ca.SX]:
         """Inputs of every function of this period, the state aside."""
         return [self.q_bar, self.flow, self.disturbance, self.gains, self.packed]
+
+    @property
+    def loop(self) -> InnerLoop:
+        """The inner loop by name."""
+        return InnerLoop.unpacked(self.gains, self.structure.segments)
 
     @property
     def values(self) -> Values:
@@ -79,7 +84,8 @@ def stage_function(structure: Structure, period: float, substeps: int) -> ca.Fun
 
     Inputs: x = (q, qd); q_bar; flow of the period, expanded about its middle;
     disturbance, an additional generalised load; gains; values. Outputs: the next x;
-    A = dx+/dx; B = dx+/dq_bar; tip of the next state; its Jacobian by q.
+    A = dx+/dx; B = dx+/dq_bar; tip of the next state; its Jacobian by q; torque at the
+    start of the period; its derivatives by x and by q_bar.
     """
     n = structure.segments
     x = ca.SX.sym("x", 2 * n)
@@ -89,13 +95,25 @@ def stage_function(structure: Structure, period: float, substeps: int) -> ca.Fun
     for index in range(substeps):
         after = _extrapolated(held, after, index * step - period / 2, step)
     end = mechanics(structure, after.x[:n], after.x[n:], held.values)
-    outputs = [after.x, after.by_state, after.by_command, end.tips[-1], end.tip_jacobian]
+    outputs = [
+        after.x,
+        after.by_state,
+        after.by_command,
+        end.tips[-1],
+        end.tip_jacobian,
+        held.loop.torque(structure, held.values, held.q_bar, x),
+        held.loop.torque_by_state(),
+        held.loop.torque_by_command(structure, held.values, held.q_bar),
+    ]
     return ca.Function(
         "predictor_stage",
         [x, *held.symbols],
         ca.cse([ca.densify(output) for output in outputs]),
         ["x", "q_bar", "flow", "disturbance", "gains", "values"],
-        ["next", "A", "B", "tip", "tip_jacobian"],
+        [
+            *("next", "A", "B", "tip", "tip_jacobian"),
+            *("torque", "torque_by_state", "torque_by_command"),
+        ],
     )
 
 
@@ -179,13 +197,13 @@ class _ImplicitStep:
         self._q, self._qd = ca.vertsplit(x, n)
         self._values = held.values
         self._arm = mechanics(held.structure, self._q, self._qd, held.values)
-        self._proportional, self._derivative = ca.vertsplit(held.gains, n)
-        self._spring = self._values.stiffness + self._proportional
-        self._damper = self._values.damping + self._derivative
+        self._loop = loop = held.loop
+        self._spring = self._values.stiffness + loop.actuated * loop.proportional
+        self._damper = self._values.damping + loop.actuated * loop.derivative
         self._flow, self._flow_rate = flow_coefficients(held.flow, time, held.structure)
 
     def matrix(self) -> ca.SX:
-        """W."""
+        """W; a locked angle has a row of its own."""
         total = ca.diag(self._h * self._damper + self._h**2 * self._spring)
         if self._held.structure.rotary_inertia:
             total += self._arm.rotary_inertia
@@ -195,18 +213,14 @@ class _ImplicitStep:
                 for column in ca.horzsplit(point.jacobian)
             ]
             total += weight * point.jacobian.T @ ca.horzcat(*columns)
-        return total
+        free = ca.diag(1 - self._loop.locked)
+        return free @ total @ free + ca.diag(self._loop.locked)
 
     def residual(self, change: ca.SX) -> ca.SX:
-        """W d - r, in N m s."""
+        """W d - r, in N m s; for a locked angle its rate after the step."""
         h, values = self._h, self._values
-        torque = feedforward_pd(
-            self._held.structure,
-            values,
-            self._held.gains,
-            self._held.q_bar,
-            ca.vertcat(self._q, self._qd),
-        )
+        x = ca.vertcat(self._q, self._qd)
+        torque = self._loop.torque(self._held.structure, values, self._held.q_bar, x)
         passive = values.stiffness * self._q + values.damping * self._qd
         total = (
             h * (passive - torque - self._held.disturbance)
@@ -218,7 +232,8 @@ class _ImplicitStep:
         for section, point, weight, _ in self._arm.points:
             force, moment = self._section_force(section, *self._motion(point, change))
             total += weight * (point.jacobian.T @ force + point.angle_jacobian * moment)
-        return total
+        locked = self._loop.locked
+        return (1 - locked) * total + locked * (self._qd + change)
 
     def residual_by_state(self, change: ca.SX) -> ca.SX:
         """Derivative of the residual by (q, qd) at fixed d, n x 2 n."""
@@ -233,13 +248,14 @@ class _ImplicitStep:
             angle_wise, rate_wise = self._motion_by_state(point, change)
             by_angle += weight * (point.hessian_along(force) + reach @ slopes @ angle_wise)
             by_rate += weight * reach @ slopes @ rate_wise
-        return ca.horzcat(by_angle, by_rate)
+        free, locked = ca.diag(1 - self._loop.locked), ca.diag(self._loop.locked)
+        return ca.horzcat(free @ by_angle, free @ by_rate + locked)
 
     def residual_by_command(self) -> ca.SX:
         """Derivative of the residual by the commanded angles, n x n."""
-        still = ca.SX.zeros(self._q.shape)
-        commanded = mechanics(self._held.structure, self._held.q_bar, still, self._values)
-        return -self._h * (ca.diag(self._spring) + commanded.gravity_gradient)
+        held = self._held
+        slope = self._loop.torque_by_command(held.structure, self._values, held.q_bar)
+        return -self._h * ca.diag(1 - self._loop.locked) @ slope
 
     def _motion(self, point: BodyPoint, change: ca.SX) -> tuple[ca.SX, ...]:
         offset = self._arm.offset(point)

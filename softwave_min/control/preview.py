@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from softwave_min.parameters import PreviewParameters
 
-__all__ = ["Forecast", "Preview", "noise_deviation"]
+__all__ = ["Forecast", "Preview", "noise_deviation", "told_flow"]
 
 Floats = NDArray[np.float64]
 
@@ -51,6 +51,15 @@ def noise_deviation(parameters: PreviewParameters, signal: Floats) -> Floats:
     return deviation
 
 
+def told_flow(parameters: PreviewParameters, flow: Floats) -> Floats:
+    """The flow as the controller is told it, (T, F): late, biased, or still water."""
+    if not parameters.waves:
+        return np.zeros_like(flow)
+    late = np.maximum(np.arange(len(flow)) - parameters.delay_periods, 0)
+    told: Floats = (1 + parameters.bias) * flow[late]
+    return told
+
+
 class Preview:
     """Forecasts of one run.
 
@@ -68,7 +77,7 @@ class Preview:
     def __init__(
         self, flow: Floats, deviation: Floats, horizon: int, parameters: PreviewParameters
     ) -> None:
-        self._flow = flow
+        self._flow = told_flow(parameters, flow)
         self._deviation = deviation
         self._horizon = horizon
         self._redrawn = parameters.redrawn

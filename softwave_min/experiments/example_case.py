@@ -200,6 +200,7 @@ def _summary_row(loop: ClosedLoop) -> Row:
         "deviation_z_settled": float(offset[:, 1].std()),
         "solves": len(solved),
         "solves_failed": int(np.count_nonzero(solved)),
+        "fallbacks": int(np.count_nonzero(loop.source)),
         "iterations_mean": float(loop.iterations.mean()),
         "iterations_largest": int(loop.iterations.max()),
     }
