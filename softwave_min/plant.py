@@ -33,7 +33,7 @@ class Plant(Protocol):
     """
 
     def advance(self, state: Floats, q_bar: Floats, flow: Floats) -> Floats:
-        """State (q, qd) one period later, (2 n,).
+        """State (q, qd) one period later, (2 n,); NaN where it cannot be integrated.
 
         ``q_bar`` is the command held over the period, (n,) in rad; ``flow`` the packed
         flow, expanded about the middle of the period, (F,).
@@ -75,7 +75,10 @@ class CvodesPlant:
     def advance(self, state: Floats, q_bar: Floats, flow: Floats) -> Floats:
         """State one period later; see ``Plant``."""
         held = np.concatenate([q_bar, flow, self._fixed])
-        end: Floats = self._integrator(x0=state, p=held)["xf"].full().ravel()
+        try:
+            end: Floats = self._integrator(x0=state, p=held)["xf"].full().ravel()
+        except RuntimeError:  # CasADi's, for any failure of CVODES
+            return np.full_like(state, np.nan)
         return end
 
 
@@ -92,6 +95,7 @@ def _cvodes(structure: Structure, parameters: SimulationParameters, period: floa
         "abstol": parameters.absolute_tolerance,
         "max_step_size": parameters.largest_step,
         "max_num_steps": 100_000,
+        "show_eval_warnings": False,
     }
     return ca.integrator("plant", "cvodes", problem, -period / 2, period / 2, options)
 
@@ -126,6 +130,8 @@ class RungeKuttaPlant:
             rtol=self._parameters.relative_tolerance,
             atol=self._parameters.absolute_tolerance,
             max_step=self._parameters.largest_step,
+            # SciPy's own choice of it never ends where the rate is not finite.
+            first_step=min(self._parameters.largest_step, self._half),
         )
         end: Floats = run.y[:, -1] if run.success else np.full_like(state, np.nan)
         return end

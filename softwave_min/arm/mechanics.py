@@ -307,11 +307,13 @@ class Mechanics:
         elastic = self.values.damping * self.qd + self.values.stiffness * self.q
         return self.coriolis + elastic + self.gravity
 
-    def acceleration(self, force: ca.SX, locked: ca.SX) -> ca.SX:
+    def acceleration(self, force: ca.SX, locked: ca.SX | None = None) -> ca.SX:
         """Angular accelerations under torques and load of the water together, in rad/s^2.
 
-        ``locked`` is 1 for each angle that cannot change, else 0.
+        ``locked`` is 1 for each angle that cannot change, else 0; all are free if None.
         """
+        if locked is None:
+            return solve_symmetric(self.inertia, force - self.passive_force())
         free = ca.diag(1 - locked)
         inertia = free @ self.inertia @ free + ca.diag(locked)
         return solve_symmetric(inertia, free @ (force - self.passive_force()))
