@@ -12,6 +12,7 @@ from pathlib import Path
 from softwave_min.compare import committed_table, compare_tables, table_stems
 from softwave_min.experiments import NAMES, Experiment, experiment
 from softwave_min.figures import style
+from softwave_min.native import description
 from softwave_min.parameters import ParameterError, ParameterSet, data_folder, load_parameters
 from softwave_min.store import Store, write_atomically
 from softwave_min.sweep import (
@@ -104,7 +105,9 @@ def _list(_: argparse.Namespace) -> int:
 
 def _run(options: argparse.Namespace) -> int:
     parameters = load_parameters(options.parameters)
-    for one in _chosen(options):
+    chosen = _chosen(options)
+    print(f"controllers and plant: {description()}")
+    for one in chosen:
         store = Store(one.name)
         count = compute(one, parameters, store, options.jobs)
         drawn = _draw_if_stale(one, parameters, store)

@@ -21,7 +21,7 @@ from pathlib import Path
 
 from softwave_min.identity import ROOT
 
-__all__ = ["CompilerError", "build", "compiler"]
+__all__ = ["CompilerError", "build", "compiler", "description"]
 
 FLAGS = ("-O1", "-march=native", "-fno-math-errno", "-std=c99", "-fPIC", "-shared")
 """-O1: the generated code is straight-line, and more optimisation only takes longer.
@@ -48,6 +48,14 @@ def compiler() -> tuple[str, ...] | None:
     if importlib.util.find_spec("ziglang"):
         return (sys.executable, "-m", "ziglang", "cc")
     return None
+
+
+def description() -> str:
+    """Which of the two paths runs, in a word or two."""
+    command = compiler()
+    if command is None:
+        return "interpreted"
+    return f"compiled by {'ziglang' if len(command) > 1 else Path(command[0]).name}"
 
 
 def build(name: str, sources: Mapping[str, str]) -> Path:

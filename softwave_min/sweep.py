@@ -23,6 +23,7 @@ from tqdm import tqdm
 from softwave_min.control.nmpc import Status
 from softwave_min.experiments import Experiment
 from softwave_min.identity import digest, lock_digest, source_digest
+from softwave_min.native import description
 from softwave_min.parameters import ParameterSet
 from softwave_min.store import Run, Store, machine, repository_state
 
@@ -157,6 +158,7 @@ def _run_record(run: Run, done: _Done) -> dict[str, Any]:
         "identity": run.identity,
         "parameters": run.parameters,
         "seconds": round(done.seconds, 3),
+        "engine": description(),
         "machine": machine(),
         **repository_state(),
     }
