@@ -6,7 +6,7 @@ from collections import defaultdict
 
 import matplotlib as mpl
 import pytest
-from hypothesis import settings
+from hypothesis import Phase, settings
 
 from softwave_min.parameters import ParameterSet, data_folder, load_parameters
 
@@ -17,7 +17,12 @@ mpl.use("agg")  # not by MPLBACKEND, which the notebooks' kernels would inherit
 settings.register_profile(
     "reproducible", derandomize=True, database=None, deadline=None, max_examples=200
 )
-settings.register_profile("mutation", settings.get_profile("reproducible"), max_examples=6)
+settings.register_profile(
+    "mutation",
+    settings.get_profile("reproducible"),
+    max_examples=6,
+    phases=[Phase.explicit, Phase.generate],  # a mutant is dead at its first failure
+)
 settings.load_profile("reproducible")
 
 _spent: defaultdict[str, float] = defaultdict(float)

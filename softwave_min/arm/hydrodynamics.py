@@ -105,6 +105,8 @@ def cross_flow_convection(angle: ca.SX, spin: ca.SX, velocity: ca.SX) -> tuple[c
     across and along: the force :math:`-\omega (v_t\, n + v_n\, t)`, to be met with
     :math:`J^T`, and Munk's moment :math:`v_n v_t`, to be met with
     :math:`\partial\theta/\partial q`. Without them still water would not conserve energy.
+    The velocity is the body's, as in still water: the corresponding terms of the moving
+    water belong to the convective acceleration that Morison's equation leaves out.
     """
     frame = local_frame(angle)
     across, along = ca.vertsplit(frame @ velocity)

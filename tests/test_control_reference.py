@@ -1,0 +1,247 @@
+"""The fast solver and the planner against programs that state the same problems anew."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from softwave_min.control import interior_point
+from softwave_min.control.baseline import KinematicPlanner
+from softwave_min.control.convex import ConvexPlanner, sqp_step
+from softwave_min.control.engine import Engine
+from softwave_min.control.interior_point import InteriorPoint, transition_function
+from softwave_min.control.nmpc import GaussNewton, Status
+from softwave_min.control.predictor import stage_function
+from softwave_min.experiments.paper import poses
+from softwave_min.native import compiler
+from softwave_min.simulation import NmpcController, Scenario, simulate, solver_of
+from softwave_min.waves import Sea
+
+
+def scenario_of(nominal, pose="P3", duration=4.0, failure=None, **nmpc):
+    parameters = replace(
+        nominal,
+        simulation=replace(nominal.simulation, duration=duration),
+        nmpc=replace(nominal.nmpc, **{"tolerance": 1e-8, "max_iterations": 100, **nmpc}),
+        failure=replace(nominal.failure, **(failure or {})),
+    )
+    sea = Sea.random(parameters.sea, parameters.fluid.gravity)
+    return Scenario.build(parameters, sea, poses()[pose])
+
+
+class Recorder:
+    """A solver that keeps what it is asked."""
+
+    def __init__(self, solver):
+        self.solver, self.asked = solver, []
+
+    def solve(self, problem, guess):
+        self.asked.append((problem, guess))
+        return self.solver.solve(problem, guess)
+
+
+def recorded(scenario):
+    """Problems and guesses of a closed loop."""
+    recorder = Recorder(solver_of(scenario))
+    simulate(scenario, NmpcController(scenario, recorder))
+    return recorder.asked
+
+
+def numpy_solver(scenario):
+    return GaussNewton(scenario.arm, scenario.believed_gains, scenario.parameters.nmpc)
+
+
+def fast_solvers(scenario):
+    yield numpy_solver(scenario)
+    if compiler() is not None:
+        p = scenario.parameters
+        gains = (scenario.believed_gains, scenario.gains)
+        yield Engine(scenario.arm, *gains, p.nmpc, p.simulation)
+
+
+def reference(scenario, **settings):
+    return InteriorPoint(
+        scenario.arm, scenario.believed_gains, scenario.parameters.nmpc, **settings
+    )
+
+
+@pytest.mark.parametrize(
+    ("pose", "settings"),
+    [
+        ("P1", {}),
+        ("P3", {}),
+        ("P1", {"angle_bound": 0.5}),
+        ("P3", {"torque_bound": 0.6, "torque_weight": 30.0}),
+        ("P3", {"failure": {"segment": 2}}),
+        ("P6", {"failure": {"segment": 1, "manner": "locked"}, "terminal_weight": 3.0}),
+    ],
+)
+def test_the_fast_solvers_end_where_the_interior_point_method_does(nominal, pose, settings):
+    scenario = scenario_of(nominal, pose, **settings)
+    ipopt = reference(scenario)
+    for problem, guess in recorded(scenario)[2::13]:
+        expected = ipopt.solve(problem, guess)
+        assert expected.status is Status.CONVERGED
+        for solver in fast_solvers(scenario):
+            found = solver.solve(problem, guess)
+            assert found.status is Status.CONVERGED
+            assert np.max(np.abs(found.inputs[0] - expected.inputs[0])) < 1e-5
+            assert found.cost == pytest.approx(expected.cost, rel=1e-8)
+
+
+def test_the_cases_of_the_comparison_are_not_all_alike(nominal):
+    """Bounds on angle and torque are active in the recorded problems."""
+    bounded = scenario_of(nominal, "P1", angle_bound=0.5)
+    problem, guess = recorded(bounded)[2]
+    assert np.any(np.abs(numpy_solver(bounded).solve(problem, guess).inputs) == 0.5)
+    soft = scenario_of(nominal, torque_bound=0.6, torque_weight=30.0)
+    problem, guess = recorded(soft)[2]
+    solver = numpy_solver(soft)
+    plan = solver.solve(problem, guess).inputs
+    assert np.any(np.abs(solver.predict(problem.state, plan, problem.forecast).torques) > 0.6)
+
+
+def test_unrolled_or_called_the_program_is_the_same(nominal):
+    scenario = scenario_of(nominal, horizon=4, duration=0.5)
+    problem, guess = recorded(scenario)[3]
+    called, unrolled = (
+        reference(scenario, expand=expand).solve(problem, guess) for expand in (False, True)
+    )
+    np.testing.assert_allclose(called.inputs, unrolled.inputs, rtol=0, atol=1e-9)
+
+
+def test_the_interior_point_method_reports_how_it_ended_and_recovers(nominal, monkeypatch):
+    scenario = scenario_of(nominal, duration=0.5)
+    problem, guess = recorded(scenario)[1]
+    ipopt = reference(scenario)
+    good = ipopt.solve(problem, guess)
+    bad = ipopt.solve(replace(problem, state=np.full(6, np.nan)), guess)
+    assert bad.status is Status.NOT_FINITE
+    assert np.isnan(bad.cost)
+    np.testing.assert_array_equal(ipopt.solve(problem, guess).inputs, good.inputs)
+    monkeypatch.setattr(interior_point, "MAX_ITERATIONS", 1)
+    cut_short = reference(scenario, tolerance=2e-10).solve(problem, guess)
+    assert (cut_short.status, cut_short.iterations) == (Status.ITERATION_LIMIT, 1)
+
+
+@pytest.mark.parametrize("morison", ["paper", "textbook"])
+def test_the_derivatives_in_closed_form_are_those_of_automatic_differentiation(nominal, morison):
+    scenario = scenario_of(replace(nominal, fluid=replace(nominal.fluid, morison=morison)))
+    model = (scenario.arm.structure, 0.1, 1)
+    stage, transition = stage_function(*model), transition_function(*model)
+    by_definition = transition.factory(
+        "by_definition",
+        transition.name_in(),
+        [f"jac:{one}:{other}" for one in ("next", "torque") for other in ("x", "q_bar")],
+    )
+    rng = np.random.default_rng(1)
+    for flow in scenario.flow[:40:10]:
+        state, q_bar, load = rng.normal(size=6), rng.normal(size=3), rng.normal(size=3)
+        inputs = (state, q_bar, flow, load, scenario.gains, scenario.arm.values)
+        after = dict(zip(stage.name_out(), stage(*inputs), strict=True))
+        ours = [after[name] for name in ("A", "B", "torque_by_state", "torque_by_command")]
+        for one, other in zip(ours, by_definition(*inputs), strict=True):
+            np.testing.assert_allclose(one.full(), other.full(), rtol=0, atol=1e-10)
+
+
+def cost_function(scenario):
+    """Value and gradient of the cost as the paper prints it, differentiated automatically."""
+    weights, n = scenario.parameters.nmpc, scenario.arm.segments
+    transition = transition_function(scenario.arm.structure, 0.1, weights.substeps)
+    inputs = ca.MX.sym("inputs", n, weights.horizon)
+
+    def evaluate(problem, plan):
+        x, before, cost = ca.DM(problem.state), ca.DM(problem.previous), ca.MX(0)
+        for k in range(weights.horizon):
+            told = (problem.forecast.flow[k], problem.forecast.disturbance[k])
+            fixed = (scenario.believed_gains, scenario.arm.values)
+            x, tip, _ = transition(x, inputs[:, k], *told, *fixed)
+            if k + 1 < weights.horizon:
+                cost += weights.tip_weight * ca.sumsqr(tip - problem.reference[k])
+            cost += weights.step_weight * ca.sumsqr(inputs[:, k] - before)
+            before = inputs[:, k]
+        both = ca.Function("both", [inputs], [cost, ca.gradient(cost, inputs)])
+        value, gradient = both(plan.T)
+        return float(value), gradient.full().T
+
+    return evaluate
+
+
+@pytest.mark.parametrize("bound", [np.pi, 0.5])
+def test_the_projected_gradient_vanishes_at_a_converged_plan(nominal, bound):
+    scenario = scenario_of(nominal, "P1", angle_bound=bound)
+    evaluate = cost_function(scenario)
+    for problem, guess in recorded(scenario)[1::13]:
+        for solver in fast_solvers(scenario):
+            found = solver.solve(problem, guess)
+            cost, gradient = evaluate(problem, found.inputs)
+            assert found.cost == pytest.approx(cost, rel=1e-10)
+            moved = np.clip(found.inputs - gradient, -bound, bound)
+            assert np.max(np.abs(moved - found.inputs)) < 1e-6
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {},
+        {"angle_bound": 0.4},
+        {"terminal_weight": 2.0},
+        {"torque_bound": 0.6, "torque_weight": 30.0},
+    ],
+)
+def test_the_step_posed_in_cvxpy_is_the_one_that_the_solver_takes(nominal, settings):
+    scenario = scenario_of(nominal, duration=1.0, **settings)
+    solver, bound = numpy_solver(scenario), scenario.parameters.nmpc.angle_bound
+    rng, touched = np.random.default_rng(6), 0
+    for problem, guess in recorded(scenario):
+        inputs = np.clip(guess + 0.2 * rng.standard_normal(guess.shape), -bound, bound)
+        ours = solver.step(inputs, *solver.residual(problem, inputs))
+        posed = sqp_step(problem, inputs, solver)
+        np.testing.assert_allclose(posed, ours, rtol=0, atol=1e-7)
+        assert np.max(np.abs(ours)) > 1e-2
+        touched += np.any(np.abs(inputs + ours) > bound - 1e-9)
+    assert (touched > 5) == ("angle_bound" in settings)
+
+
+def planners(nominal, bound):
+    scenario = scenario_of(nominal, duration=0.1)
+    plain = KinematicPlanner(scenario.arm, nominal.baseline, 0.1)
+    return scenario.arm, plain, ConvexPlanner(scenario.arm, nominal.baseline, 0.1, bound)
+
+
+@pytest.mark.parametrize("pose", ["P1", "P3", "P6"])
+def test_the_convex_planner_is_the_plain_one_where_no_bound_is_active(nominal, pose):
+    _, plain, convex = planners(nominal, np.pi)
+    targets = np.tile(poses()[pose], (100, 1))
+    expected = plain.path(np.zeros(3), targets)
+    assert np.ptp(expected) > 0.5
+    np.testing.assert_allclose(convex.path(np.zeros(3), targets), expected, rtol=0, atol=1e-6)
+
+
+def test_bounds_of_the_convex_planner_hold_and_cost_no_reachable_target(nominal):
+    target = np.array(poses()["P1"])
+    targets = np.tile(target, (150, 1))
+    arm, plain, convex = planners(nominal, 2.0)
+    assert np.max(np.abs(plain.path(np.zeros(3), targets))) > 2.1
+    path = convex.path(np.zeros(3), targets)
+    assert np.max(np.abs(path)) <= 2.0
+    assert np.linalg.norm(arm.tip(path[-1]) - target) < 1e-6
+
+
+def test_bounds_in_the_program_lead_closer_than_clipping_its_answer(nominal):
+    # Out of reach under this bound: the other angles must make up for the clipped one.
+    target, bound = np.array(poses()["P1"]), 1.2
+    targets = np.tile(target, (150, 1))
+    arm, plain, convex = planners(nominal, bound)
+    bounded = convex.path(np.zeros(3), targets)[-1]
+    clipped = plain.first_posture(np.zeros(3), target)
+    for _ in targets:
+        clipped = np.clip(plain.step(clipped, target), -bound, bound)
+    least, miss = (np.linalg.norm(arm.tip(q) - target) for q in (bounded, clipped))
+    assert least < miss / 2
+
+
+def test_the_convex_planner_needs_damping(nominal):
+    with pytest.raises(ValueError, match="damping"):
+        planners(replace(nominal, baseline=replace(nominal.baseline, damping=0.0)), np.pi)
