@@ -27,8 +27,8 @@ unexport PYTHONPATH PYTHONHOME MPLBACKEND
 export IPYTHONDIR := $(CURDIR)/.venv/ipython
 export JUPYTER_PREFER_ENV_PATH := 1
 
-.PHONY: all help environment computed results figures notebooks book lab bench test verify lock \
-	clean distclean
+.PHONY: all help environment computed results figures notebooks book lab bench test verify \
+	mutation lock clean distclean
 
 all: book ## All that follows down to the book, then a comparison with the committed tables
 	@$(PY) -m softwave_min compare
@@ -55,8 +55,9 @@ book: notebooks ## Build the book if an input changed: book/_build/html/index.ht
 lab: computed ## Open the notebooks in JupyterLab
 	@$(PY) -m jupyterlab notebooks
 
-bench: environment ## Time a control step of each controller
-	@$(PY) bench/step_time.py
+bench: environment ## Time the plant's integrators and what the quadrature leaves
+	@$(PY) bench/plant_integrators.py
+	$(PY) bench/quadrature.py
 
 # What a fresh clone lacks is computed; what is stale is an error, not a reason to compute.
 # The notebooks are not executed before nbval does: the committed outputs are what it proves.
@@ -75,6 +76,9 @@ verify: environment ## Compute everything once more, elsewhere, and compare with
 	export SOFTWAVE_RESULTS=.build/verify
 	$(PY) -m softwave_min run
 	$(PY) -m softwave_min compare
+
+mutation: environment ## Break every line of the arm and the waves and see whether a test notices
+	@$(PY) tests/mutation.py
 
 lock: ## Resolve requirements.in into environment.lock (needs uv)
 	@$(if $(UV),,$(error 'make lock' needs uv))
