@@ -26,6 +26,11 @@ def wave_flow(arm: Arm, sea: Sea, time: float) -> np.ndarray:
     return pack_flow(sea.taylor_velocity(arm.parameters.base_position, [time], *orders)[0])
 
 
+def straight(**changes):
+    """An arm of unequal segments, with the nominal number of quadrature points."""
+    return uniform(3, length=(0.4, 0.25, 0.15), quadrature_points=4, **changes)
+
+
 def segment_loads(length, force):
     """Loads (n, n) of a force per length across a straight arm: [bend, segment].
 
@@ -67,7 +72,7 @@ def drag_per_length(fluid, diameter):
 @pytest.mark.parametrize("angle", [0.0, 0.4, -np.pi / 2, 2.5])
 def test_straight_arm_in_a_steady_current(morison, angle):
     fluid = water(morison)
-    arm = Arm(uniform(3, length=(0.4, 0.25, 0.15), base_angle=angle), fluid)
+    arm = Arm(straight(base_angle=angle), fluid)
     u, w = 1.3, -0.8
     across = -u * np.sin(angle) + w * np.cos(angle)
     strength = drag_per_length(fluid, 0.05) * abs(across) * across
@@ -85,7 +90,7 @@ def test_straight_arm_in_a_steady_current(morison, angle):
 def test_level_straight_arm_in_a_regular_wave(morison):
     """w = W sin(k x - w t) > 0 all along it: drag with sin^2, inertia with -w W cos."""
     fluid, time = water(morison), -1.1
-    arm = Arm(uniform(3, length=(0.4, 0.25, 0.15), base_position=(0.7, -4.0)), fluid)
+    arm = Arm(straight(base_position=(0.7, -4.0)), fluid)
     sea = Sea.regular(2.0, 6.1, 20.0, fluid.gravity, phase=0.3)
     loads = arm.load_terms(np.zeros(3), np.zeros(3), wave_flow(arm, sea, time))
     k, frequency = sea.wave_number[0], sea.angular_frequency[0]
@@ -120,7 +125,7 @@ def test_pile_in_a_regular_wave(morison):
     Across an arm that points up is -x: crests push its bends clockwise.
     """
     fluid, time = water(morison), 0.9
-    arm = Arm(uniform(3, length=(0.4, 0.25, 0.15), base_angle=np.pi / 2), fluid)
+    arm = Arm(straight(base_angle=np.pi / 2), fluid)
     sea = Sea.regular(2.0, 6.1, 20.0, fluid.gravity)
     loads = arm.load_terms(np.zeros(3), np.zeros(3), wave_flow(arm, sea, time))
     k, frequency = sea.wave_number[0], sea.angular_frequency[0]

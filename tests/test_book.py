@@ -94,7 +94,7 @@ def test_pages_work_in_a_browser_without_a_network(browser: Browser, origin: str
 
 
 def test_there_are_formulas_to_typeset() -> None:
-    for chapter in ("waves", "kinematics", "dynamics", "morison"):
+    for chapter in ("waves", "kinematics", "dynamics", "morison", "baseline", "nmpc"):
         assert content(f"notebooks/{chapter}.html").formulas
 
 

@@ -110,7 +110,7 @@ def scales(parameters: NmpcParameters) -> tuple[float, float, float]:
 class GaussNewton:
     """Gauss-Newton SQP with bounds and line search, in NumPy: the readable statement.
 
-    ``CompiledGaussNewton`` takes the same steps without an interpreter.
+    ``Engine`` takes the same steps without an interpreter.
 
     Parameters
     ----------

@@ -39,16 +39,14 @@ def noise_deviation(parameters: PreviewParameters, signal: Floats) -> Floats:
     signal : array, (T, n)
         The loads that the ratio refers to, in N m.
     """
-    level = np.sqrt(np.mean(signal**2, axis=0))
+    level: Floats = np.sqrt(np.mean(signal**2, axis=0))
     match parameters.noise:
         case "none":
-            ratio = np.inf
+            return np.zeros_like(level)
         case "decibel":
-            ratio = 10 ** (parameters.signal_to_noise / 10)
+            return level * 10 ** (-parameters.signal_to_noise / 20)
         case "ratio":
-            ratio = parameters.signal_to_noise
-    deviation: Floats = level / np.sqrt(ratio)
-    return deviation
+            return level / float(np.sqrt(parameters.signal_to_noise))
 
 
 def told_flow(parameters: PreviewParameters, flow: Floats) -> Floats:
