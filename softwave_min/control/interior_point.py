@@ -86,6 +86,7 @@ class InteriorPoint:
             ubg=0,
         )
         report = self._solver.stats()
+        # Over the states as well; there is no history where the first evaluation failed.
         steps = report.get("iterations", {}).get("d_norm", [np.inf])
         status = STATUS.get(report["return_status"], Status.NO_DECREASE)
         found = answer["x"].full().reshape(self._shape)[:, : inputs.shape[1]]
