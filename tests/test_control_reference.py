@@ -222,10 +222,11 @@ def test_the_convex_planner_is_the_plain_one_where_no_bound_is_active(nominal, p
 def test_bounds_of_the_convex_planner_hold_and_cost_no_reachable_target(nominal):
     target = np.array(poses()["P1"])
     targets = np.tile(target, (150, 1))
-    arm, plain, convex = planners(nominal, 2.0)
-    assert np.max(np.abs(plain.path(np.zeros(3), targets))) > 2.1
-    path = convex.path(np.zeros(3), targets)
-    assert np.max(np.abs(path)) <= 2.0
+    arm, plain, _ = planners(nominal, np.pi)
+    bound = 0.95 * np.max(np.abs(plain.path(np.zeros(3), targets)))
+    path = planners(nominal, bound)[2].path(np.zeros(3), targets)
+    assert np.max(np.abs(path)) == pytest.approx(bound)
+    assert np.max(np.abs(path)) <= bound
     assert np.linalg.norm(arm.tip(path[-1]) - target) < 1e-6
 
 
