@@ -1,0 +1,181 @@
+"""do-mpc on recorded problems. Runs in the bench's own environment, see ``run.py``.
+
+    python peers.py RECORDING... --steps N --output FILE
+
+Two formulations, both with the package's default settings: the arm as a continuous
+model, which do-mpc discretises by its own collocation; and the predictor's step as a
+discrete model, which is the very problem that the other methods solve.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore")  # about its optional parts
+    import do_mpc
+
+from recording import Recording, bench_parameters
+
+from softwave_min.arm import Arm, Structure, Values, mechanics
+from softwave_min.control.baseline import InnerLoop
+from softwave_min.control.interior_point import transition_function
+from softwave_min.parameters import ParameterSet
+
+Floats = NDArray[np.float64]
+FORMULATIONS = ("collocation", "discrete")
+
+
+class Peer:
+    """do-mpc's controller for the bench's optimal control problem."""
+
+    def __init__(self, parameters: ParameterSet, formulation: str) -> None:
+        self._arm = Arm(parameters.arm, parameters.fluid)
+        self._parameters = parameters
+        self._structure = self._arm.structure
+        self._continuous = formulation == "collocation"
+        self._mpc = self._controller(self._model())
+
+    def restart(self, state: Floats, guess: Floats) -> None:
+        """Begin a closed loop."""
+        self._mpc.reset_history()
+        self._mpc.x0, self._mpc.u0 = state, guess[0]
+        self._mpc.set_initial_guess()
+
+    def solve(self, recording: Recording, index: int) -> tuple[Floats, int, bool]:
+        """Applied input, iterations and success; the guess is do-mpc's own former solution."""
+        periods = len(recording.reference[index])
+        reference = np.vstack([recording.reference[index][:1], recording.reference[index]])
+        flow = recording.flow[index] if not self._continuous else self._held(recording.flow[index])
+        parts = (flow, recording.disturbance[index])
+        told = [np.vstack([part, part[-1:]]) for part in parts]
+        template = self._template
+        for k in range(periods + 1):
+            template["_tvp", k] = np.concatenate([told[0][k], told[1][k], reference[k]])
+        self._mpc.u0 = recording.previous[index]
+        applied = self._mpc.make_step(recording.state[index]).ravel()
+        stats = self._mpc.solver_stats
+        return applied, stats["iter_count"], stats["success"]
+
+    def _held(self, flow: Floats) -> Floats:
+        """Flow in the middle of each period: what do-mpc can hold over a step."""
+        return flow[:, :: self._structure.time_order + 1]
+
+    def _model(self) -> do_mpc.model.Model:
+        n, structure = self._arm.segments, self._structure
+        model = do_mpc.model.Model("continuous" if self._continuous else "discrete", "SX")
+        x = model.set_variable("_x", "x", shape=(2 * n, 1))
+        q_bar = model.set_variable("_u", "q_bar", shape=(n, 1))
+        size = structure.flow_size
+        if self._continuous:
+            size //= structure.time_order + 1
+        flow = model.set_variable("_tvp", "flow", shape=(size, 1))
+        load = model.set_variable("_tvp", "disturbance", shape=(n, 1))
+        model.set_variable("_tvp", "reference", shape=(2, 1))
+        law = _rate if self._continuous else _transition
+        model.set_rhs("x", law(self._parameters, structure)(x, q_bar, flow, load, *self._fixed()))
+        model.setup()
+        return model
+
+    def _fixed(self) -> tuple[ca.DM, ca.DM]:
+        gains = InnerLoop.packed(self._parameters.baseline, None)
+        return ca.DM(gains), ca.DM(self._arm.values)
+
+    def _controller(self, model: do_mpc.model.Model) -> do_mpc.controller.MPC:
+        nmpc = self._parameters.nmpc
+        mpc = do_mpc.controller.MPC(model)
+        mpc.settings.n_horizon = nmpc.horizon
+        mpc.settings.t_step = nmpc.control_period
+        mpc.settings.supress_ipopt_output()
+        tip = _tip(self._structure)(model.x["x"], ca.DM(self._arm.values))
+        error = nmpc.tip_weight * ca.sumsqr(tip - model.tvp["reference"])
+        mpc.set_objective(mterm=ca.SX(nmpc.terminal_weight) * error, lterm=error)
+        mpc.set_rterm(q_bar=nmpc.step_weight)
+        for side, sign in (("lower", -1), ("upper", 1)):
+            mpc.bounds[side, "_u", "q_bar"] = sign * nmpc.angle_bound
+        self._template = mpc.get_tvp_template()
+        mpc.set_tvp_fun(lambda _: self._template)
+        mpc.setup()
+        return mpc
+
+
+Law = Callable[..., ca.SX]
+
+
+def _rate(parameters: ParameterSet, structure: Structure) -> Law:
+    """Derivative of the state under the flow held from the middle of the period."""
+    n, columns = structure.segments, structure.time_order + 1
+
+    def law(x: ca.SX, q_bar: ca.SX, held: ca.SX, load: ca.SX, gains: ca.DM, values: ca.DM) -> ca.SX:
+        unpacked = Values.unpacked(ca.SX(values), n)
+        terms = mechanics(structure, x[:n], x[n:], unpacked)
+        loop = InnerLoop.unpacked(ca.SX(gains), n)
+        flow = ca.SX(structure.flow_size, 1)
+        flow[::columns] = held
+        force = loop.torque(structure, unpacked, q_bar, x) + terms.fluid_load(flow, 0) + load
+        return ca.vertcat(x[n:], terms.acceleration(force, loop.locked))
+
+    if parameters.fluid.morison != "paper":
+        raise ValueError("the flow's acceleration is not told to do-mpc")
+    return law
+
+
+def _transition(parameters: ParameterSet, structure: Structure) -> Law:
+    nmpc = parameters.nmpc
+    function = transition_function(structure, nmpc.control_period, nmpc.substeps)
+    return lambda *inputs: function(*inputs)[0]
+
+
+def _tip(structure: Structure) -> Law:
+    n = structure.segments
+
+    def tip(x: ca.SX, values: ca.DM) -> ca.SX:
+        unpacked = Values.unpacked(ca.SX(values), n)
+        return mechanics(structure, x[:n], ca.SX.zeros(n), unpacked).tips[-1]
+
+    return tip
+
+
+def measure(peer: Peer, recordings: list[Recording], steps: int) -> dict[str, Floats]:
+    """Time, input, iterations and success of every step."""
+    rows = []
+    for recording in recordings:
+        peer.restart(recording.state[0], recording.guess[0])
+        for index in range(min(steps, len(recording.state))):
+            started = time.process_time()
+            applied, iterations, success = peer.solve(recording, index)
+            rows.append((time.process_time() - started, iterations, not success, *applied))
+    table = np.array(rows, dtype=float)
+    return {
+        "seconds": table[:, 0],
+        "iterations": table[:, 1],
+        "failed": table[:, 2],
+        "applied": table[:, 3:],
+    }
+
+
+def main() -> None:
+    """Measure both formulations."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("recordings", nargs="+", type=Path)
+    parser.add_argument("--steps", type=int, required=True)
+    parser.add_argument("--output", type=Path, required=True)
+    given = parser.parse_args()
+    recordings = [Recording.load(path) for path in given.recordings]
+    found = {}
+    for formulation in FORMULATIONS:
+        measured = measure(Peer(bench_parameters(), formulation), recordings, given.steps)
+        found |= {f"{formulation}.{name}": array for name, array in measured.items()}
+    np.savez(given.output, version=do_mpc.__version__, **found)
+
+
+if __name__ == "__main__":
+    main()
