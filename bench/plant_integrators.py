@@ -119,7 +119,7 @@ def steepest(parameters: ParameterSet) -> Scenario:
 
 def main() -> None:
     """Print the table."""
-    parameters = load_parameters(data_folder() / "parameters" / "nominal.toml")
+    parameters = load_parameters(data_folder() / "parameters" / "physical.toml")
     reference: Floats | None = None
     print(f"{'method':20} {'tip error, m':>12} {'time, s':>8} {'evaluations':>12}")
     for name, measured in study(steepest(parameters)):

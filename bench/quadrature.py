@@ -74,7 +74,7 @@ def relative(found: Floats, finest: Floats) -> Floats:
 
 def main() -> None:
     """Print the table for the nominal arm and sea."""
-    parameters = load_parameters(data_folder() / "parameters" / "nominal.toml")
+    parameters = load_parameters(data_folder() / "parameters" / "physical.toml")
     # CVODES: the compiled plant would be compiled anew for every number of points.
     simulation = replace(parameters.simulation, integrator="cvodes")
     print(f"{'points':>6} {'inertia':>9} {'gravity':>9} {'load':>9} {'tip, m':>9}")

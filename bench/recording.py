@@ -26,7 +26,7 @@ CASE, HEIGHT = "W3", 3.0
 
 def bench_parameters() -> ParameterSet:
     """The nominal parameters in the sea of the measurement."""
-    nominal = load_parameters(data_folder() / "parameters" / "nominal.toml")
+    nominal = load_parameters(data_folder() / "parameters" / "physical.toml")
     sea = replace(
         nominal.sea, peak_period=wave_cases()[CASE].peak_period, significant_height=HEIGHT
     )

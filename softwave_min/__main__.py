@@ -71,9 +71,9 @@ def _parser() -> argparse.ArgumentParser:
         command.add_argument(
             "--parameters",
             type=Path,
-            default=data_folder() / "parameters" / "nominal.toml",
+            default=data_folder() / "parameters" / "calibrated.toml",
             metavar="FILE",
-            help="parameter set, a TOML file (default: data/parameters/nominal.toml)",
+            help="parameter set, a TOML file (default: data/parameters/calibrated.toml)",
         )
 
     compare = commands.add_parser("compare", help="compare the tables with the committed ones")

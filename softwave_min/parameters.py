@@ -130,6 +130,8 @@ class SeaParameters:
     """Upper edge of the band that is sampled, in Hz."""
     seed: Seed
     """Seed of the random phases."""
+    realisations: Count
+    """Number of random seas in an experiment: those of ``seed``, ``seed`` + 1, ..."""
 
     @model_validator(mode="after")
     def _band_is_ascending(self) -> Self:

@@ -162,8 +162,9 @@ def _run_record(run: Run, done: _Done) -> dict[str, Any]:
         "machine": machine(),
         **repository_state(),
     }
-    if "status" in done.arrays:
-        values, counts = np.unique(done.arrays["status"], return_counts=True)
+    statuses = [array for name, array in done.arrays.items() if name.endswith("status")]
+    if statuses:
+        values, counts = np.unique(np.concatenate(statuses), return_counts=True)
         record["solver_statuses"] = {
             Status(int(value)).name: int(count)
             for value, count in zip(values, counts, strict=True)

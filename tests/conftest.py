@@ -31,7 +31,7 @@ _spent: defaultdict[str, float] = defaultdict(float)
 @pytest.fixture(scope="session")
 def nominal() -> ParameterSet:
     """The nominal parameter set."""
-    return load_parameters(data_folder() / "parameters" / "nominal.toml")
+    return load_parameters(data_folder() / "parameters" / "physical.toml")
 
 
 @pytest.hookimpl(wrapper=True)

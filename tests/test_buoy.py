@@ -21,7 +21,7 @@ HEADER = "#YY  MM DD hh mm  .0500  .1000  .2000"
 
 @pytest.fixture(scope="module")
 def parameters():
-    return load_parameters(data_folder() / "parameters" / "nominal.toml").sea
+    return load_parameters(data_folder() / "parameters" / "physical.toml").sea
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from softwave_min.experiments import NAMES
 from softwave_min.identity import ROOT
 from softwave_min.parameters import data_folder
 
-NOMINAL = data_folder() / "parameters" / "nominal.toml"
+NOMINAL = data_folder() / "parameters" / "calibrated.toml"
 TARGETS = {
     "all", "results", "notebooks", "book", "figures", "lab", "bench", "verify", "lock", "clean",
     "help", "test", "environment",
@@ -162,7 +162,7 @@ def test_results_that_were_never_computed_are_missing_and_no_error(house):
 
 def test_another_drag_makes_stale_what_depends_on_it_and_nothing_else(house):
     assert freshness(house) == (0, dict.fromkeys(NAMES, "committed"))
-    path = house / "data/parameters/nominal.toml"
+    path = house / "data/parameters/calibrated.toml"
     path.write_text(
         re.sub(r"(?m)^drag_coefficient = [\d.]+", "drag_coefficient = 1.2", path.read_text())
     )

@@ -175,20 +175,20 @@ def test_a_failure_names_the_cell_and_leaves_the_file_alone(write, tmp_path):
 def drag(tmp_path, monkeypatch):
     """Set the drag coefficient in a copy of the parameters."""
     folder = tmp_path / "data"
-    text = (executor.parameters.data_folder() / "parameters/nominal.toml").read_text()
+    text = (executor.parameters.data_folder() / "parameters/physical.toml").read_text()
     (folder / "parameters").mkdir(parents=True)
     monkeypatch.setattr(executor.parameters, "data_folder", lambda: folder)
 
     def set_drag(coefficient):
         changed = re.sub(r"(?m)^(drag_coefficient = )[\d.]+", rf"\g<1>{coefficient}", text)
-        (folder / "parameters/nominal.toml").write_text(changed)
+        (folder / "parameters/physical.toml").write_text(changed)
 
     return set_drag
 
 
 LOAD = """
 from softwave_min.parameters import data_folder, load_parameters
-nominal = load_parameters(data_folder() / "parameters" / "nominal.toml")
+nominal = load_parameters(data_folder() / "parameters" / "physical.toml")
 """
 
 

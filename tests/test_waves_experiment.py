@@ -20,7 +20,7 @@ SPECTRA = experiment("spectra")
 
 @pytest.fixture(scope="module")
 def parameters():
-    return load_parameters(data_folder() / "parameters" / "nominal.toml")
+    return load_parameters(data_folder() / "parameters" / "calibrated.toml")
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ BASE = (0.0, -4.0)
 
 @pytest.fixture(scope="module")
 def parameters():
-    return load_parameters(data_folder() / "parameters" / "nominal.toml").sea
+    return load_parameters(data_folder() / "parameters" / "physical.toml").sea
 
 
 @pytest.fixture(scope="module")

@@ -2,8 +2,8 @@
 
 ``{value}`example_case/summary.csv:W3/nmpc:rmse:.3f` `` is the cell of
 ``results/example_case/summary.csv`` in column ``rmse`` and in the one row whose leading
-columns read ``W3``, ``nmpc``. ``{parameter}`parameters/nominal.toml:nmpc.horizon:.0f` `` is
-that entry of ``data/parameters/nominal.toml``. The last part is the format; left empty, the
+columns read ``W3``, ``nmpc``. ``{parameter}`parameters/physical.toml:nmpc.horizon:.0f` `` is
+that entry of ``data/parameters/physical.toml``. The last part is the format; left empty, the
 quantity is quoted as it stands. What is not there is a warning, and a warning fails the
 build.
 """

@@ -1,0 +1,139 @@
+"""Closed loops of both controllers at one place of the grid, as runs of an experiment."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softwave_min.experiments.paper import wave_cases
+from softwave_min.parameters import FailureParameters, ParameterSet
+from softwave_min.simulation import (
+    BaselineController,
+    ClosedLoop,
+    NmpcController,
+    Scenario,
+    engine_or_none,
+    root_mean_square_error,
+    simulate,
+)
+from softwave_min.store import Run
+from softwave_min.waves import Sea
+
+__all__ = [
+    "TRANSIENT",
+    "Controller",
+    "LoopRun",
+    "closed_loops",
+    "failed_solves",
+    "in_sea",
+    "kept",
+    "prepare",
+    "realisations",
+    "scenario_of",
+    "settled_error",
+    "whole_error",
+    "with_failure",
+]
+
+Controller = Literal["baseline", "nmpc"]
+Path = tuple[tuple[float, float], ...]
+RunData = Mapping[str, NDArray[Any]]
+
+TRANSIENT = 10.0
+"""Seconds after which a run counts as settled."""
+
+
+@dataclass(frozen=True)
+class LoopRun:
+    """All that determines the closed loops at one place of the grid."""
+
+    parameters: ParameterSet
+    """With the sea, its seed, and the failure."""
+    path: Path
+    """Desired tip at every control instant, in m; it stays at its last point."""
+    controllers: tuple[Controller, ...] = ("baseline", "nmpc")
+
+
+def in_sea(parameters: ParameterSet, case: str, significant_height: float) -> ParameterSet:
+    """The parameters in one of the paper's wave cases, at a height in m."""
+    period = wave_cases()[case].peak_period
+    sea = replace(parameters.sea, peak_period=period, significant_height=significant_height)
+    return replace(parameters, sea=sea)
+
+
+def with_failure(
+    parameters: ParameterSet, segment: int, manner: Literal["passive", "locked"]
+) -> ParameterSet:
+    """The parameters with a failed segment, numbered from 1."""
+    known = parameters.failure.known
+    return replace(parameters, failure=FailureParameters(segment, manner, known))
+
+
+def realisations(parameters: ParameterSet) -> Iterator[ParameterSet]:
+    """One parameter set for each random sea that is asked for, with its own noise."""
+    for offset in range(parameters.sea.realisations):
+        sea = replace(parameters.sea, seed=parameters.sea.seed + offset, realisations=1)
+        preview = replace(parameters.preview, seed=parameters.preview.seed + offset)
+        yield replace(parameters, sea=sea, preview=preview)
+
+
+def scenario_of(run: LoopRun) -> Scenario:
+    """Arm, sea and path of a run."""
+    parameters = run.parameters
+    sea = Sea.random(parameters.sea, parameters.fluid.gravity)
+    return Scenario.build(parameters, sea, np.array(run.path))
+
+
+def prepare(run: Run) -> None:
+    """Compile what the run needs."""
+    engine_or_none(scenario_of(run.parameters))
+
+
+def closed_loops(run: LoopRun) -> dict[str, NDArray[Any]]:
+    """Simulate each controller; ``<controller>_<field>`` for the fields of ``kept``."""
+    scenario = scenario_of(run)
+    builders = {"baseline": BaselineController, "nmpc": NmpcController}
+    found: dict[str, NDArray[Any]] = {}
+    for controller in run.controllers:
+        loop = simulate(scenario, builders[controller](scenario))
+        found |= {f"{controller}_{name}": array for name, array in kept(loop).items()}
+    return found
+
+
+def kept(loop: ClosedLoop) -> dict[str, NDArray[Any]]:
+    """What is kept of a run of a sweep.
+
+    Returns
+    -------
+    dict of ndarray
+        ``error`` (T + 1,) in m; ``q`` (T + 1, n) in rad; ``tip`` (T + 1, 2) in m;
+        ``wave_torque`` (T, n) in N m; ``status`` and ``source`` (T,).
+    """
+    return {
+        "error": loop.error,
+        "q": loop.q,
+        "tip": loop.tips[:, -1],
+        "wave_torque": loop.wave_torque,
+        "status": loop.status,
+        "source": loop.source,
+    }
+
+
+def whole_error(data: RunData, controller: Controller) -> float:
+    """RMSE over the whole run, start included, in m."""
+    return root_mean_square_error(data[f"{controller}_error"])
+
+
+def settled_error(data: RunData, controller: Controller, period: float) -> float:
+    """RMSE from ``TRANSIENT`` on, in m; ``period`` is the control period in s."""
+    return root_mean_square_error(data[f"{controller}_error"][round(TRANSIENT / period) :])
+
+
+def failed_solves(data: RunData) -> int:
+    """Solves of the NMPC that did not converge; each is in the run's ``nmpc_status``."""
+    status = data["nmpc_status"]
+    return int(np.count_nonzero(status > 0))
