@@ -49,7 +49,7 @@ class Measured:
 
 def run(scenario: Scenario, advance: Advance) -> Measured:
     """Follow the planner's commands by one way to advance the state."""
-    planned = scenario.planned_angles()
+    planned = scenario.planned_angles
     states = np.zeros((scenario.steps + 1, 2 * scenario.arm.segments))
     advance(states[0], planned[0], scenario.flow[0])  # what is made at the first call
     started = time.perf_counter()

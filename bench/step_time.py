@@ -148,7 +148,7 @@ def compiled_loop(parameters: ParameterSet, steps: int) -> Row:
     for pose in POSES:
         scenario = scenario_at(parameters, pose, steps)
         p, engine = scenario.parameters, engine_of(scenario)
-        spread = noise_deviation(p.preview, scenario.held_loads())
+        spread = noise_deviation(p.preview, scenario.held_loads)
         preview = Preview(scenario.flow, spread, p.nmpc.horizon, p.preview)
         noise = np.array([preview.at(step).disturbance for step in range(steps)])
         told = told_flow(p.preview, scenario.flow)

@@ -21,11 +21,14 @@ from pathlib import Path
 
 from softwave_min.identity import ROOT
 
-__all__ = ["CompilerError", "build", "compiler", "description"]
+__all__ = ["GENERATED", "CompilerError", "build", "compiler", "description"]
 
-FLAGS = ("-O1", "-march=native", "-fno-math-errno", "-std=c99", "-fPIC", "-shared")
-"""-O1: the generated code is straight-line, and more optimisation only takes longer.
-No -ffast-math: the same numbers as the interpreter's."""
+FLAGS = ("-march=native", "-fno-math-errno", "-std=c99", "-fPIC")
+"""No -ffast-math: the same numbers as the interpreter's."""
+LOOPS, STRAIGHT_LINE = ("-O3", "-funroll-loops"), ("-O2",)
+"""The generated code is long and has no loops: more than -O2 only takes longer."""
+GENERATED = "model.c"
+"""Name of the generated source."""
 
 
 class CompilerError(RuntimeError):
@@ -75,10 +78,16 @@ def build(name: str, sources: Mapping[str, str]) -> Path:
         with tempfile.TemporaryDirectory(dir=library.parent) as folder:
             for file_name, text in sources.items():
                 (Path(folder) / file_name).write_text(text, encoding="utf-8")
-            made = Path(folder) / library.name
-            _run([*command, *FLAGS, *sorted(sources), "-o", str(made), "-lm"], folder)
-            os.replace(made, library)
+            for file_name in sources:
+                _run([*command, *_flags(file_name), "-c", file_name], folder)
+            objects = [Path(file_name).stem + ".o" for file_name in sorted(sources)]
+            _run([*command, "-shared", *objects, "-o", library.name, "-lm"], folder)
+            os.replace(Path(folder) / library.name, library)
     return library
+
+
+def _flags(file_name: str) -> tuple[str, ...]:
+    return (*FLAGS, *(STRAIGHT_LINE if file_name == GENERATED else LOOPS))
 
 
 def _folder() -> Path:
@@ -94,9 +103,9 @@ def _run(command: list[str], folder: str) -> None:
 
 def _key(command: tuple[str, ...], sources: Mapping[str, str]) -> str:
     version = subprocess.run([*command, "--version"], capture_output=True, text=True, check=False)
-    parts = [*command, version.stdout, *FLAGS, platform.machine(), _processor()]
+    parts = [*command, version.stdout, platform.machine(), _processor()]
     for name in sorted(sources):
-        parts += [name, sources[name]]
+        parts += [name, *_flags(name), sources[name]]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
 
 

@@ -17,6 +17,7 @@ from pydantic import ConfigDict, Field, Strict, TypeAdapter, ValidationError, mo
 from pydantic.dataclasses import dataclass
 
 __all__ = [
+    "DEFAULT_SET",
     "ArmParameters",
     "BaselineParameters",
     "FailureParameters",
@@ -29,9 +30,14 @@ __all__ = [
     "SimulationParameters",
     "data_folder",
     "load_parameters",
+    "parameter_set",
     "read_toml",
+    "set_names",
     "validate",
 ]
+
+DEFAULT_SET = "calibrated"
+"""The shipped set that the paper's experiments are computed with."""
 
 T = TypeVar("T")
 
@@ -195,7 +201,8 @@ class NmpcParameters:
     max_iterations: Annotated[int, Strict(), Field(ge=1, le=1000)]
     """Most Gauss-Newton steps per solve."""
     tolerance: Positive
-    """A solve has converged when its last step is shorter than this, in rad."""
+    """A solve has converged when its last step, or by their contraction all that would
+    follow it, is shorter than this, in rad."""
     real_time: bool
     """Whether to take ``max_iterations`` full steps and no more, converged or not."""
 
@@ -287,6 +294,25 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise ParameterError(f"{path}: {error.strerror}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ParameterError(f"{path}: not valid TOML: {error}") from None
+
+
+def set_names() -> list[str]:
+    """Names of the parameter sets that ship: files in ``data/parameters/``."""
+    return sorted(path.stem for path in (data_folder() / "parameters").glob("*.toml"))
+
+
+def parameter_set(name: str = DEFAULT_SET) -> ParameterSet:
+    """Load a shipped parameter set by its name.
+
+    Raises
+    ------
+    ParameterError
+        If there is none of that name.
+    """
+    names = set_names()
+    if name not in names:
+        raise ParameterError(f"no parameter set {name!r}; there are: {', '.join(names)}")
+    return load_parameters(data_folder() / "parameters" / f"{name}.toml")
 
 
 def load_parameters(path: Path) -> ParameterSet:

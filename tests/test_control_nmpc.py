@@ -39,7 +39,7 @@ def recorded_problems(scenario, count):
     """Problems and guesses that a closed loop under the NumPy solver meets."""
     p = scenario.parameters
     solver = GaussNewton(scenario.arm, scenario.believed_gains, p.nmpc)
-    deviation = noise_deviation(p.preview, scenario.held_loads())
+    deviation = noise_deviation(p.preview, scenario.held_loads)
     preview = Preview(scenario.flow, deviation, p.nmpc.horizon, p.preview)
     plant = plant_of(scenario)
     n, horizon = scenario.arm.segments, p.nmpc.horizon

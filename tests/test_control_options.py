@@ -7,7 +7,7 @@ import pytest
 
 from softwave_min.control.engine import Engine
 from softwave_min.control.nmpc import GaussNewton, Problem, Solution, Status
-from softwave_min.control.preview import Forecast, Preview, noise_deviation
+from softwave_min.control.preview import Forecast, Preview
 from softwave_min.experiments.paper import poses
 from softwave_min.native import compiler
 from softwave_min.parameters import FailureParameters
@@ -19,6 +19,7 @@ from softwave_min.simulation import (
     Source,
     root_mean_square_error,
     simulate,
+    simulate_nmpc,
 )
 from softwave_min.waves import Sea
 
@@ -166,7 +167,7 @@ def test_a_plan_that_fails_is_replaced_and_the_replacement_is_on_record(nominal)
     assert [int(np.sum(loop.source == source)) for source in Source] == [13, 14, 3]
     assert np.sum(loop.status == Status.NOT_FINITE) == 17
     # The former plan goes on, input by input; then the planner takes over.
-    np.testing.assert_array_equal(loop.q_bar[17], scenario.planned_angles()[17])
+    np.testing.assert_array_equal(loop.q_bar[17], scenario.planned_angles[17])
     assert loop.source[20] == Source.CONTROLLER
 
 
@@ -187,19 +188,9 @@ def test_a_number_that_is_not_finite_stops_the_run_and_names_the_time(nominal, s
 @needs_compiler
 def test_the_loop_in_c_is_the_loop_in_python(nominal):
     scenario = scenario_of(nominal, 3.0, preview={"redrawn": True})
-    p = scenario.parameters
-    loop = simulate(scenario, NmpcController(scenario))
-    deviation = noise_deviation(p.preview, scenario.held_loads())
-    preview = Preview(scenario.flow, deviation, p.nmpc.horizon, p.preview)
-    noise = np.array([preview.at(step).disturbance for step in range(scenario.steps)])
-    _, engine = both_solvers(scenario)
-    states, q_bar, statuses, iterations = engine.run(
-        np.zeros(6), scenario.targets, scenario.flow, scenario.flow, noise
-    )
-    np.testing.assert_array_equal(states[:, :3], loop.q)
-    np.testing.assert_array_equal(q_bar, loop.q_bar)
-    np.testing.assert_array_equal(statuses, loop.status)
-    np.testing.assert_array_equal(iterations, loop.iterations)
+    stepped, compiled = simulate(scenario, NmpcController(scenario)), simulate_nmpc(scenario)
+    for name, series in vars(stepped).items():
+        np.testing.assert_array_equal(series, getattr(compiled, name), err_msg=name)
 
 
 def test_a_failed_segment_beyond_the_arm_is_refused(nominal):

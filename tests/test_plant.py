@@ -11,7 +11,7 @@ from softwave_min.arm import pack_flow
 from softwave_min.control.preview import Preview, noise_deviation
 from softwave_min.native import compiler
 from softwave_min.parameters import PreviewParameters
-from softwave_min.plant import CvodesPlant, ExtrapolatedPlant, RungeKuttaPlant
+from softwave_min.plant import CvodesPlant, ExtrapolatedPlant, RungeKuttaPlant, rate_function
 from softwave_min.simulation import (
     BaselineController,
     Command,
@@ -131,6 +131,48 @@ def test_the_tips_path_does_not_depend_on_the_plants_steps(
         assert 0 < np.max(np.hypot(*(other - paths[0]).T)) < 1e-4
 
 
+@pytest.fixture(scope="module")
+def steepest(nominal):
+    """Two seconds of the baseline's loop where the water is fastest: W1, 3 m, P3."""
+    parameters = replace(nominal, sea=replace(nominal.sea, significant_height=3.0, peak_period=6.1))
+    waves = Sea.random(parameters.sea, parameters.fluid.gravity)
+    return Scenario.build(lasting(parameters, 2.0), waves, P3)
+
+
+def tips_by(scenario, advance):
+    """The tip at the control instants, under the planner's commands."""
+    states = [np.zeros(6)]
+    for q_bar, flow in zip(scenario.planned_angles, scenario.flow[: scenario.steps], strict=False):
+        states.append(advance(states[-1], q_bar, flow))
+    return scenario.arm.tip(np.array(states)[:, :3])
+
+
+@pytest.fixture(scope="module")
+def tight_tips(steepest):
+    """By the explicit method of order 8 of Dormand and Prince, at a tolerance of 1e-11."""
+    rate, half = rate_function(steepest.arm.structure), steepest.period / 2
+
+    def advance(state, q_bar, flow):
+        def derivative(time, x):
+            return rate(x, time, q_bar, flow, steepest.gains, steepest.arm.values).full().ravel()
+
+        options = {"method": "DOP853", "rtol": 1e-11, "atol": 1e-13}
+        return solve_ivp(derivative, (-half, half), state, **options).y[:, -1]
+
+    return tips_by(steepest, advance)
+
+
+@pytest.mark.parametrize(
+    ("integrator", "bound"), [("extrapolation", 2e-5), ("cvodes", 1e-8), ("runge_kutta", 1e-9)]
+)
+def test_error_of_each_integrator_in_the_steepest_sea(steepest, tight_tips, integrator, bound):
+    """With the nominal steps and tolerances, in m at the tip over a closed loop."""
+    simulation = replace(steepest.parameters.simulation, integrator=integrator)
+    chosen = replace(steepest, parameters=replace(steepest.parameters, simulation=simulation))
+    tips = tips_by(steepest, plant_of(chosen).advance)
+    assert 0 < np.max(np.hypot(*(tips - tight_tips).T)) < bound
+
+
 class Held:
     """A controller that never changes its command."""
 
@@ -172,7 +214,7 @@ def test_record_of_a_run(nominal, sea):
     np.testing.assert_array_equal(run.target, np.tile(P4, (21, 1)))
     np.testing.assert_allclose(run.tips, arm.segment_tips(run.q))
     np.testing.assert_allclose(run.error, np.linalg.norm(arm.tip(run.q) - P4, axis=1))
-    np.testing.assert_array_equal(run.q_bar, scenario.planned_angles()[:20])
+    np.testing.assert_array_equal(run.q_bar, scenario.planned_angles[:20])
     torque = (
         arm.stiffness_vector(run.q_bar)
         + arm.gravity_vector(run.q_bar)
@@ -199,7 +241,7 @@ def test_a_sea_that_is_not_finite_stops_the_run(nominal, sea, controller):
 @pytest.mark.parametrize("integrator", ["extrapolation", "cvodes", "runge_kutta"])
 def test_a_state_that_is_not_finite_stops_the_run(nominal, sea, integrator):
     scenario = Scenario.build(lasting(nominal, 2.0, integrator=integrator), sea, P3)
-    planned = scenario.planned_angles()
+    planned = scenario.planned_angles
 
     class Failing:
         def command(self, step, state):  # noqa: ARG002
@@ -293,7 +335,7 @@ def test_one_seed_one_noise():
 
 def test_noise_refers_to_the_load_on_an_arm_held_at_the_plan(nominal, sea):
     scenario = Scenario.build(lasting(nominal, 3.0), sea, P3)
-    planned, middles = scenario.planned_angles()[:30], 0.1 * np.arange(30) + 0.05
+    planned, middles = scenario.planned_angles[:30], 0.1 * np.arange(30) + 0.05
     flow = pack_flow(sea.taylor_velocity(nominal.arm.base_position, middles, 8, 5))
     expected = scenario.arm.fluid_load(planned, np.zeros_like(planned), flow)
-    np.testing.assert_allclose(scenario.held_loads(), expected, rtol=1e-12)
+    np.testing.assert_allclose(scenario.held_loads, expected, rtol=1e-12)

@@ -14,15 +14,17 @@ and a feed-forward with PD feedback turns them into torques,
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from softwave_min.arm import Arm, Structure, Values, mechanics
+from softwave_min.arm.dynamics import solve_symmetric
 from softwave_min.parameters import BaselineParameters, FailureParameters
 
-__all__ = ["InnerLoop", "KinematicPlanner"]
+__all__ = ["InnerLoop", "KinematicPlanner", "planner_function"]
 
 Floats = NDArray[np.float64]
 
@@ -113,17 +115,35 @@ class KinematicPlanner:
 
     def step(self, q_bar: Floats, target: Floats) -> Floats:
         """Commanded angles one period later, (n,) in rad."""
-        jacobian = self._arm.tip_jacobian(q_bar)
-        velocity = self._parameters.task_gain * (target - self._arm.tip(q_bar))
-        gram = jacobian @ jacobian.T + self._parameters.damping**2 * np.eye(2)
-        rate: Floats = jacobian.T @ np.linalg.solve(gram, velocity)
-        return q_bar + self._period * rate
+        return self._moved(q_bar, target[None])[0]
 
     def path(self, q: Floats, targets: Floats) -> Floats:
         """Commanded angles of a whole run, (T, n): the planner never looks at the arm."""
-        q_bar = self.first_posture(q, targets[0])
-        commanded = []
-        for target in targets:
-            q_bar = self.step(q_bar, target)
-            commanded.append(q_bar)
-        return np.array(commanded)
+        return self._moved(self.first_posture(q, targets[0]), targets)
+
+    def _moved(self, q_bar: Floats, targets: Floats) -> Floats:
+        count, gains = len(targets), self._parameters
+        settings = np.array([gains.task_gain, gains.damping, self._period])
+        fixed = (np.repeat(one[:, None], count, axis=1) for one in (settings, self._arm.values))
+        steps = planner_function(self._arm.structure).mapaccum(count)
+        moved: Floats = steps(q_bar, targets.T, *fixed).full().T
+        return moved
+
+
+@cache
+def planner_function(structure: Structure) -> ca.Function:
+    """One Euler step of the planner.
+
+    Inputs: q_bar; target; (K_e, damping, period); values. Output: the next q_bar.
+    """
+    n = structure.segments
+    q_bar, target = ca.SX.sym("q_bar", n), ca.SX.sym("target", 2)
+    settings, packed = ca.SX.sym("settings", 3), ca.SX.sym("values", Values.size(n))
+    gain, damping, period = ca.vertsplit(settings)
+    arm = mechanics(structure, q_bar, ca.SX.zeros(n), Values.unpacked(packed, n))
+    jacobian, velocity = arm.tip_jacobian, gain * (target - arm.tips[-1])
+    gram = jacobian @ jacobian.T + damping**2 * ca.SX.eye(2)
+    rate = jacobian.T @ solve_symmetric(gram, velocity)
+    return ca.Function(
+        "planner", [q_bar, target, settings, packed], ca.cse([q_bar + period * rate])
+    )

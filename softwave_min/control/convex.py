@@ -148,3 +148,12 @@ class ConvexPlanner(KinematicPlanner):
         self._problem.solve(**SOLVER)
         moved: Floats = np.clip(q_bar + self._change.value, -self._bound, self._bound)
         return moved
+
+    def path(self, q: Floats, targets: Floats) -> Floats:
+        """Commanded angles of a whole run, (T, n)."""
+        q_bar = self.first_posture(q, targets[0])
+        commanded = []
+        for target in targets:
+            q_bar = self.step(q_bar, target)
+            commanded.append(q_bar)
+        return np.array(commanded)

@@ -16,6 +16,7 @@ enum status { CONVERGED, ITERATION_LIMIT, NO_DECREASE, NOT_FINITE };
 #define SUFFICIENT_DECREASE 1e-4
 #define SHORTEST_STEP 0x1p-12
 #define ROUNDING 1e-13 /* of a computed cost */
+#define STEADY 0.3 /* a contraction below which the next steps may be foretold */
 #define MOST_COLUMNS 8
 
 typedef struct {
@@ -303,14 +304,18 @@ void nmpc_solve(const engine *e, const task *t, double *inputs, outcome *out) {
     out->status = NOT_FINITE;
     if (!is_finite(cost)) return;
     out->status = ITERATION_LIMIT;
+    double contraction = INFINITY; /* unknown */
     while (out->iterations < e->max_iterations) {
         condense(e, t, inputs, &p);
         quadratic_step(e, inputs, &p);
         double slope = 0, length = largest(p.direction, size), scale = 1;
         for (int i = 0; i < size; i++) slope += 2 * p.gradient[i] * p.direction[i];
+        if (out->iterations) contraction = length / out->last_step;
         out->iterations++;
         out->last_step = length;
-        int short_enough = length < e->tolerance;
+        /* Convergence is linear: what follows this step is a geometric series. */
+        int steady = contraction < STEADY && length * contraction < (1 - contraction) * e->tolerance;
+        int short_enough = length < e->tolerance || steady;
         if (short_enough || (e->real_time && out->iterations == e->max_iterations)) {
             /* The model of the cost is exact to third order in so short a step. */
             for (int i = 0; i < size; i++) inputs[i] += p.direction[i];

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from softwave_min.arm import Arm
 from softwave_min.control.nmpc import Problem, Solution, Status, scales
 from softwave_min.control.predictor import stage_function, step_function
-from softwave_min.native import build
+from softwave_min.native import GENERATED, build
 from softwave_min.parameters import NmpcParameters, SimulationParameters
 
 __all__ = ["Engine"]
@@ -180,7 +180,7 @@ def _pointer(array: Floats) -> ctypes._Pointer[ctypes.c_double]:
 @cache
 def _library(functions: Sequence[ca.Function]) -> ctypes.CDLL:
     sources = {
-        "model.c": _generated(functions),
+        GENERATED: _generated(functions),
         "engine.c": Path(__file__).with_name("engine.c").read_text(encoding="utf-8"),
     }
     library = ctypes.CDLL(str(build("engine", sources)))
@@ -190,9 +190,9 @@ def _library(functions: Sequence[ca.Function]) -> ctypes.CDLL:
 
 
 def _generated(functions: Sequence[ca.Function]) -> str:
-    generator = ca.CodeGenerator("model.c")
+    generator = ca.CodeGenerator(GENERATED)
     for function in functions:
         generator.add(function)
     with TemporaryDirectory() as folder:
         generator.generate(folder + "/")
-        return (Path(folder) / "model.c").read_text(encoding="utf-8")
+        return (Path(folder) / GENERATED).read_text(encoding="utf-8")

@@ -33,6 +33,8 @@ SUFFICIENT_DECREASE = 1e-4
 SHORTEST_STEP = 2.0**-12
 ROUNDING = 1e-13
 """Relative error of a computed cost, which must not count as an increase."""
+STEADY = 0.3
+"""Contraction of the steps below which the next ones may be foretold."""
 
 
 class Status(IntEnum):
@@ -141,12 +143,14 @@ class GaussNewton:
         cost = float(residual @ residual)
         if not np.isfinite(cost):
             return Solution(inputs, cost, Status.NOT_FINITE, 0, np.inf)
-        size = np.inf
+        size = contraction = np.inf
         for iteration in range(1, settings.max_iterations + 1):
             direction = self.step(inputs, residual, jacobian)
             slope = 2 * float(residual @ jacobian @ direction.ravel())
-            size = float(np.max(np.abs(direction)))
-            short = size < settings.tolerance
+            former, size = size, float(np.max(np.abs(direction)))
+            if iteration > 1:
+                contraction = size / former
+            short = size < settings.tolerance or self._foretold(size, contraction)
             if short or (settings.real_time and iteration == settings.max_iterations):
                 # The model of the cost is exact to third order in so short a step.
                 status = Status.CONVERGED if short else Status.ITERATION_LIMIT
@@ -163,6 +167,13 @@ class GaussNewton:
                     return Solution(inputs, cost, Status.NO_DECREASE, iteration, size)
             inputs, cost, size = trial, found, scale * size
         return Solution(inputs, cost, Status.ITERATION_LIMIT, settings.max_iterations, size)
+
+    def _foretold(self, size: float, contraction: float) -> bool:
+        """Whether all steps after this one are short together: a geometric series, since
+        Gauss-Newton converges linearly.
+        """
+        rest = size * contraction
+        return contraction < STEADY and rest < (1 - contraction) * self.parameters.tolerance
 
     def residual(self, problem: Problem, inputs: Floats) -> tuple[Floats, Floats]:
         """Weighted residuals, whose sum of squares is the cost, and their Jacobian."""

@@ -14,11 +14,11 @@ from softwave_min.parameters import FailureParameters, ParameterSet
 from softwave_min.simulation import (
     BaselineController,
     ClosedLoop,
-    NmpcController,
     Scenario,
     engine_or_none,
     root_mean_square_error,
     simulate,
+    simulate_nmpc,
 )
 from softwave_min.store import Run
 from softwave_min.waves import Sea
@@ -35,6 +35,7 @@ __all__ = [
     "realisations",
     "scenario_of",
     "settled_error",
+    "simulated",
     "whole_error",
     "with_failure",
 ]
@@ -96,12 +97,18 @@ def prepare(run: Run) -> None:
 def closed_loops(run: LoopRun) -> dict[str, NDArray[Any]]:
     """Simulate each controller; ``<controller>_<field>`` for the fields of ``kept``."""
     scenario = scenario_of(run)
-    builders = {"baseline": BaselineController, "nmpc": NmpcController}
     found: dict[str, NDArray[Any]] = {}
     for controller in run.controllers:
-        loop = simulate(scenario, builders[controller](scenario))
+        loop = simulated(scenario, controller)
         found |= {f"{controller}_{name}": array for name, array in kept(loop).items()}
     return found
+
+
+def simulated(scenario: Scenario, controller: Controller) -> ClosedLoop:
+    """One closed loop under a controller, by name."""
+    if controller == "nmpc":
+        return simulate_nmpc(scenario)
+    return simulate(scenario, BaselineController(scenario))
 
 
 def kept(loop: ClosedLoop) -> dict[str, NDArray[Any]]:

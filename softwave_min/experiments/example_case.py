@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,17 +16,15 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass as validated
 
+from softwave_min.experiments.closed_loop import TRANSIENT, Controller, simulated
 from softwave_min.experiments.experiment import Experiment, RunArrays, Tables
 from softwave_min.experiments.paper import poses, wave_cases
 from softwave_min.parameters import ParameterSet, Positive, data_folder, read_toml, validate
 from softwave_min.simulation import (
-    BaselineController,
     ClosedLoop,
-    NmpcController,
     Scenario,
     engine_or_none,
     root_mean_square_error,
-    simulate,
 )
 from softwave_min.store import Run
 from softwave_min.waves import BuoyRecord, Sea, measured_sea, named_records
@@ -42,13 +40,10 @@ __all__ = [
 ]
 
 Floats = NDArray[np.float64]
-Controller = Literal["baseline", "nmpc"]
 Row = Mapping[str, float | int | str]
 
 SEAS = ("jonswap", "measured")
 CONTROLLERS: tuple[Controller, ...] = ("baseline", "nmpc")
-TRANSIENT = 10.0
-"""Seconds after which a run counts as settled."""
 KEY_QUANTILE = 0.9
 """A moment is a key moment where the wave torque exceeds this quantile of itself."""
 KEY_GAP = 0.5
@@ -91,9 +86,7 @@ def scenario_of(run: ExampleRun) -> Scenario:
 
 def closed_loop(run: ExampleRun) -> dict[str, NDArray[Any]]:
     """Simulate one run; the arrays are the fields of ``ClosedLoop``."""
-    scenario = scenario_of(run)
-    build = BaselineController if run.controller == "baseline" else NmpcController
-    return vars(simulate(scenario, build(scenario)))
+    return vars(simulated(scenario_of(run), run.controller))
 
 
 def choice() -> Choice:
