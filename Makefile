@@ -28,7 +28,7 @@ export IPYTHONDIR := $(CURDIR)/.venv/ipython
 export JUPYTER_PREFER_ENV_PATH := 1
 
 .PHONY: all help environment computed results figures notebooks book lab bench test verify \
-	mutation lock clean distclean
+	seeds calibration mutation lock clean distclean
 
 all: book ## All that follows down to the book, then a comparison with the committed tables
 	@$(PY) -m softwave_min compare
@@ -72,10 +72,13 @@ test: environment ## Unit tests, every notebook against its outputs, the book; f
 		--numprocesses auto --maxprocesses 4 --dist loadfile
 
 verify: environment ## Compute everything once more, elsewhere, and compare with the committed tables
-	@rm -rf .build/verify
-	export SOFTWAVE_RESULTS=.build/verify
-	$(PY) -m softwave_min run
-	$(PY) -m softwave_min compare
+	@$(PY) -m softwave_min verify
+
+seeds: environment ## The headline numbers in 20 random seas: up to a quarter of an hour
+	@$(PY) -m softwave_min run random_seas
+
+calibration: environment ## Search for the parameters that come closest to the paper's numbers
+	@$(PY) -m softwave_min run calibration
 
 mutation: environment ## Break every line of the arm and the waves and see whether a test notices
 	@$(PY) tests/mutation.py
@@ -90,7 +93,7 @@ clean: ## Remove the book, the notebooks' stamps and the caches
 	find . -name .venv -prune -o -name __pycache__ -prune -exec rm -r {} +
 
 distclean: clean ## Remove the computed runs and the environment as well
-	@rm -rf results/*/runs .venv
+	@rm -rf results/*/runs results/sets/*/*/runs .venv
 
 computed: environment
 	@$(PY) -m softwave_min run

@@ -10,28 +10,48 @@ from __future__ import annotations
 import ast
 import hashlib
 import json
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from pydantic import TypeAdapter
 
-__all__ = ["as_plain", "digest", "imported_modules", "lock_digest", "source_digest", "source_files"]
+__all__ = [
+    "as_plain",
+    "digest",
+    "imported_modules",
+    "lock_digest",
+    "run_identity",
+    "source_digest",
+    "source_files",
+]
 
 PACKAGE = Path(__file__).resolve().parent
 ROOT = PACKAGE.parent
+_PLAIN: TypeAdapter[Any] = TypeAdapter(Any)
 
 
 def as_plain(parameters: Any) -> Any:
     """Turn a tree of dataclasses into what JSON can hold."""
-    return TypeAdapter(Any).dump_python(parameters, mode="json")
+    return _PLAIN.dump_python(parameters, mode="json")
 
 
 def digest(*parts: Any) -> str:
     """SHA-256 over the canonical JSON of ``parts``, in hexadecimal."""
     text = json.dumps([as_plain(part) for part in parts], sort_keys=True, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+def run_identity(compute: Callable[[Any], Any], parameters: Any) -> str:
+    """Hash over what determines the value of a function of its parameters."""
+    return digest(
+        compute.__module__,
+        compute.__qualname__,
+        parameters,
+        source_digest(compute.__module__),
+        lock_digest(),
+    )
 
 
 @cache

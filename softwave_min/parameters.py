@@ -18,6 +18,7 @@ from pydantic.dataclasses import dataclass
 
 __all__ = [
     "DEFAULT_SET",
+    "SET_NAMES",
     "ArmParameters",
     "BaselineParameters",
     "FailureParameters",
@@ -32,12 +33,13 @@ __all__ = [
     "load_parameters",
     "parameter_set",
     "read_toml",
-    "set_names",
     "validate",
 ]
 
+SET_NAMES = ("calibrated", "physical")
+"""The parameter sets that ship: files in ``data/parameters/``."""
 DEFAULT_SET = "calibrated"
-"""The shipped set that the paper's experiments are computed with."""
+"""The one that the paper's experiments are computed with."""
 
 T = TypeVar("T")
 
@@ -296,11 +298,6 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise ParameterError(f"{path}: not valid TOML: {error}") from None
 
 
-def set_names() -> list[str]:
-    """Names of the parameter sets that ship: files in ``data/parameters/``."""
-    return sorted(path.stem for path in (data_folder() / "parameters").glob("*.toml"))
-
-
 def parameter_set(name: str = DEFAULT_SET) -> ParameterSet:
     """Load a shipped parameter set by its name.
 
@@ -309,9 +306,8 @@ def parameter_set(name: str = DEFAULT_SET) -> ParameterSet:
     ParameterError
         If there is none of that name.
     """
-    names = set_names()
-    if name not in names:
-        raise ParameterError(f"no parameter set {name!r}; there are: {', '.join(names)}")
+    if name not in SET_NAMES:
+        raise ParameterError(f"no parameter set {name!r}; there are: {', '.join(SET_NAMES)}")
     return load_parameters(data_folder() / "parameters" / f"{name}.toml")
 
 

@@ -17,9 +17,10 @@ import os
 import platform
 import subprocess
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, cached_property
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
@@ -29,7 +30,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from softwave_min.identity import ROOT, as_plain, digest, lock_digest, source_digest
+from softwave_min.identity import ROOT, as_plain, run_identity
 
 __all__ = [
     "Run",
@@ -45,6 +46,9 @@ __all__ = [
 Arrays = Mapping[str, NDArray[Any]]
 LIBRARIES = ("casadi", "cvxpy", "matplotlib", "numpy", "pandas", "scipy")
 SIGNIFICANT_DIGITS = 10
+UNFINISHED = ".writing-"
+"""Prefix of a file that is being written; what remains of it was never finished."""
+HOUR = 3600.0
 
 
 @dataclass(frozen=True)
@@ -58,16 +62,10 @@ class Run:
     parameters: Any = field(hash=False)
     """Frozen dataclass: all that the function reads, seeds included."""
 
-    @property
+    @cached_property
     def identity(self) -> str:
         """Hash over what determines the run."""
-        return digest(
-            self.compute.__module__,
-            self.compute.__qualname__,
-            self.parameters,
-            source_digest(self.compute.__module__),
-            lock_digest(),
-        )
+        return run_identity(self.compute, self.parameters)
 
 
 def results_folder() -> Path:
@@ -100,7 +98,7 @@ class Store:
             return False
 
     def save_run(self, run: Run, arrays: Arrays, record: Mapping[str, Any]) -> None:
-        """Write a run's arrays, and drop the files of its former definitions.
+        """Write a run's arrays.
 
         ``record`` is the run's provenance. It goes first: arrays without it
         would count as computed.
@@ -112,9 +110,25 @@ class Store:
         mark = {"content": sha256(content).hexdigest()}
         write_atomically(path.with_suffix(".json"), _json({**record, **mark}))
         write_atomically(path, content)
-        for former in path.parent.glob(f"{run.name}-{'[0-9a-f]' * 16}.*"):
-            if former.stem != path.stem:
-                former.unlink()
+
+    def tidy(self, runs: Iterable[Run]) -> None:
+        """Drop what former definitions of the runs, and writers that died, left behind."""
+        current = {run.name: self.run_path(run).stem for run in runs}
+        for path in self.folder.glob("runs/*"):
+            name = path.stem.rpartition("-")[0]
+            if current.get(name, path.stem) != path.stem:
+                path.unlink(missing_ok=True)
+        for path in self.folder.rglob(f"{UNFINISHED}*"):
+            with contextlib.suppress(FileNotFoundError):
+                if time.time() - path.stat().st_mtime > HOUR:  # no writer takes that long
+                    path.unlink()
+
+    def files(self) -> list[Path]:
+        """Tables, figures and provenance: all but the runs."""
+        if not self.folder.is_dir():
+            return []
+        found = (path for path in self.folder.iterdir() if path.is_file())
+        return sorted(path for path in found if not path.name.startswith(UNFINISHED))
 
     def run_record(self, run: Run) -> dict[str, Any]:
         """Provenance of a computed run."""
@@ -189,7 +203,7 @@ def write_atomically(path: Path, content: bytes) -> None:
 
 @contextlib.contextmanager
 def _temporary_beside(path: Path) -> Iterator[tuple[int, str]]:
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=".writing-")
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=UNFINISHED)
     try:
         yield handle, temporary
     finally:
@@ -215,6 +229,7 @@ def _git(*arguments: str) -> str:
     return answer.stdout.strip()
 
 
+@cache
 def machine() -> dict[str, Any]:
     """Platform, processor count and versions that a result was computed with."""
     return {

@@ -1,33 +1,40 @@
 """Compute what an experiment lacks, and judge what it has.
 
 A sweep is a list of independent runs. Each is written as soon as it is done, so
-that an interrupted sweep resumes and loses at most the runs in progress.
+that an interrupted sweep resumes and loses at most the runs in progress. Tables are
+made of the runs on disk in their declared order, whoever computed them, and when.
 """
 
 from __future__ import annotations
 
-import multiprocessing
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
+from collections.abc import Sequence
 from enum import Enum
 from hashlib import sha256
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 from softwave_min.control.nmpc import Status
 from softwave_min.experiments import Experiment
-from softwave_min.identity import digest, lock_digest, source_digest
+from softwave_min.identity import as_plain, digest, lock_digest, source_digest
 from softwave_min.native import description
 from softwave_min.parameters import ParameterSet
 from softwave_min.store import Run, Store, machine, repository_state
+from softwave_min.workers import Outcome, Workers, attempt, in_a_line
 
-__all__ = ["Freshness", "SweepError", "compute", "figures_identity", "freshness", "tables_identity"]
+__all__ = [
+    "Freshness",
+    "SweepError",
+    "compute",
+    "figures_are_current",
+    "figures_identity",
+    "file_digests",
+    "freshness",
+    "tables_identity",
+]
 
 
 class SweepError(RuntimeError):
@@ -45,12 +52,6 @@ class Freshness(Enum):
     """Made from other inputs, or changed since."""
     MISSING = "missing"
     """Never computed."""
-
-
-@dataclass(frozen=True)
-class _Done:
-    arrays: dict[str, NDArray[Any]]
-    seconds: float
 
 
 def tables_identity(experiment: Experiment, parameters: ParameterSet) -> str:
@@ -74,26 +75,34 @@ def freshness(experiment: Experiment, parameters: ParameterSet, store: Store) ->
     record = store.provenance()
     if not record:
         return Freshness.MISSING
-    if (
-        record["tables_identity"] != tables_identity(experiment, parameters)
-        or record.get("figures_identity") != figures_identity(experiment, parameters)
-        or record["files"] != file_digests(store)
-    ):
+    if record["tables_identity"] != tables_identity(
+        experiment, parameters
+    ) or not figures_are_current(experiment, parameters, store):
         return Freshness.STALE
     here = all(store.has(run) for run in experiment.runs(parameters))
     return Freshness.FRESH if here else Freshness.COMMITTED
+
+
+def figures_are_current(experiment: Experiment, parameters: ParameterSet, store: Store) -> bool:
+    """Whether the figures are of the present inputs, and no file was changed since."""
+    record = store.provenance()
+    return record.get("figures_identity") == figures_identity(experiment, parameters) and record[
+        "files"
+    ] == file_digests(store)
 
 
 def file_digests(store: Store) -> dict[str, str]:
     """SHA-256 of every committed file of an experiment, its provenance aside."""
     return {
         path.name: sha256(path.read_bytes()).hexdigest()
-        for path in sorted(store.folder.iterdir())
-        if path.is_file() and path.name != "provenance.json"
+        for path in store.files()
+        if path.name != "provenance.json"
     }
 
 
-def compute(experiment: Experiment, parameters: ParameterSet, store: Store, jobs: int) -> int:
+def compute(
+    experiment: Experiment, parameters: ParameterSet, store: Store, workers: Workers
+) -> int:
     """Compute the missing runs, then the tables; the number of runs computed.
 
     Raises
@@ -104,65 +113,60 @@ def compute(experiment: Experiment, parameters: ParameterSet, store: Store, jobs
     runs = experiment.runs(parameters)
     missing = [run for run in runs if not store.has(run)]
     started = time.perf_counter()
-    failures: list[str] = []
-    if missing:
-        experiment.prepare(missing[0])
-    for run, future in _computed(experiment.name, missing, jobs):
-        try:
-            done = future.result()
-        except Exception as error:  # one failure must not stop the sweep
-            failures.append(f"{run.name}: {error}")
-        else:
-            store.save_run(run, done.arrays, _run_record(run, done))
+    failures = _compute_runs(experiment, missing, len(runs), store, workers) if missing else []
+    store.tidy(runs)
     if failures:
-        raise SweepError(f"{experiment.name}: {len(failures)} failed; " + "; ".join(failures))
-    if missing or store.provenance().get("tables_identity") != tables_identity(
-        experiment, parameters
-    ):
+        raise SweepError(
+            f"{experiment.name}: {len(failures)} of {len(runs)} runs failed, "
+            f"the others are kept; first {failures[0]}"
+        )
+    if missing or not _tables_are_current(experiment, parameters, store):
         _tabulate(experiment, parameters, store, runs, time.perf_counter() - started)
     return len(missing)
 
 
-def _computed(name: str, runs: Sequence[Run], jobs: int) -> Iterator[tuple[Run, Future[_Done]]]:
-    if not runs:
-        return
-    if min(jobs, len(runs)) == 1:
-        for run in runs:
-            future: Future[_Done] = Future()
+def _compute_runs(
+    experiment: Experiment, missing: Sequence[Run], total: int, store: Store, workers: Workers
+) -> list[str]:
+    """Compute runs and save each as it is done; the failures."""
+    if workers.here:
+        experiment.prepare(missing[0])
+    failures: list[str] = []
+    calls = [(run.compute, run.parameters, run.identity) for run in missing]
+    with tqdm(
+        desc=experiment.name,
+        total=total,
+        initial=total - len(missing),
+        unit="run",
+        disable=not sys.stderr.isatty(),
+    ) as bar:
+        bar.set_postfix(failed=0)
+        for index, result in workers.completed(attempt, calls):
+            run = missing[index]
             try:
-                future.set_result(_timed(run))
-            except Exception as error:  # the caller decides, as with other processes
-                future.set_exception(error)
-            yield run, future
-        return
-    # Fork would copy the libraries' threads in an unknown state.
-    context = multiprocessing.get_context("spawn")
-    with (
-        ProcessPoolExecutor(min(jobs, len(runs)), mp_context=context) as pool,
-        tqdm(total=len(runs), desc=name, unit="run", disable=not sys.stderr.isatty()) as bar,
-    ):
-        waiting = {pool.submit(_timed, run): run for run in runs}
-        for future in as_completed(waiting):
+                outcome: Outcome = result.result()
+                failure = outcome.failure
+            except Exception as error:  # of the worker, not of the run
+                failure = in_a_line(error)
+            if failure:
+                failures.append(f"{run.name}: {failure}")
+                bar.set_postfix(failed=len(failures))
+            else:
+                store.save_run(run, outcome.arrays, _run_record(run, outcome))
             bar.update()
-            yield waiting[future], future
+    return failures
 
 
-def _timed(run: Run) -> _Done:
-    started = time.perf_counter()
-    arrays = {name: np.asarray(array) for name, array in run.compute(run.parameters).items()}
-    return _Done(arrays, time.perf_counter() - started)
-
-
-def _run_record(run: Run, done: _Done) -> dict[str, Any]:
+def _run_record(run: Run, outcome: Outcome) -> dict[str, Any]:
     record: dict[str, Any] = {
         "identity": run.identity,
         "parameters": run.parameters,
-        "seconds": round(done.seconds, 3),
-        "engine": description(),
+        "seconds": round(outcome.seconds, 3),
+        "engine": outcome.engine,
         "machine": machine(),
         **repository_state(),
     }
-    statuses = [array for name, array in done.arrays.items() if name.endswith("status")]
+    statuses = [array for name, array in outcome.arrays.items() if name.endswith("status")]
     if statuses:
         values, counts = np.unique(np.concatenate(statuses), return_counts=True)
         record["solver_statuses"] = {
@@ -171,6 +175,18 @@ def _run_record(run: Run, done: _Done) -> dict[str, Any]:
             if value >= 0
         }
     return record
+
+
+def _tables_are_current(experiment: Experiment, parameters: ParameterSet, store: Store) -> bool:
+    record = store.provenance()
+    if record.get("tables_identity") != tables_identity(experiment, parameters):
+        return False
+    found = file_digests(store)
+    return all(
+        found.get(name) == content
+        for name, content in record["files"].items()
+        if name.endswith(".csv")
+    )
 
 
 def _tabulate(
@@ -183,7 +199,13 @@ def _tabulate(
     tables = experiment.tabulate(parameters, {run.name: store.load_run(run) for run in runs})
     for stem, table in tables.items():
         store.write_table(stem, table)
-    of_runs = {run.name: store.run_record(run) for run in runs}
+    common = {
+        "engine": description(),
+        "machine": machine(),
+        "parameters": as_plain(parameters),
+        **repository_state(),
+    }
+    of_runs = {run.name: _in_particular(store.run_record(run), common) for run in runs}
     store.write_provenance(
         {
             "experiment": experiment.name,
@@ -191,11 +213,36 @@ def _tabulate(
             "claims": experiment.claims,
             "tables_identity": tables_identity(experiment, parameters),
             "lock": lock_digest(),
-            "parameters": parameters,
             "runs": of_runs,
             "wall_time": round(seconds, 3),
-            "machine": machine(),
             "files": file_digests(store),
-            **repository_state(),
+            **common,
         }
     )
+
+
+def _in_particular(record: dict[str, Any], common: dict[str, Any]) -> dict[str, Any]:
+    """A run's record without what the experiment's says of all runs.
+
+    A parameter set in it is reduced to what differs from the experiment's.
+    """
+    own = {key: value for key, value in record.items() if common.get(key) != value}
+    if "parameters" in own:
+        own["parameters"] = _reduced(own["parameters"], common["parameters"])
+    return own
+
+
+def _reduced(tree: Any, common: dict[str, Any]) -> Any:
+    if not isinstance(tree, dict):
+        return tree
+    if tree.keys() == common.keys():
+        return _changes(tree, common)
+    return {key: _reduced(value, common) for key, value in tree.items()}
+
+
+def _changes(tree: dict[str, Any], common: dict[str, Any]) -> dict[str, Any]:
+    return {
+        key: _changes(value, common[key]) if isinstance(value, dict) else value
+        for key, value in tree.items()
+        if value != common[key]
+    }

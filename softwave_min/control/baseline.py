@@ -115,7 +115,8 @@ class KinematicPlanner:
 
     def step(self, q_bar: Floats, target: Floats) -> Floats:
         """Commanded angles one period later, (n,) in rad."""
-        return self._moved(q_bar, target[None])[0]
+        moved: Floats = self._moved(q_bar, target[None])[0]
+        return moved
 
     def path(self, q: Floats, targets: Floats) -> Floats:
         """Commanded angles of a whole run, (T, n): the planner never looks at the arm."""
@@ -125,8 +126,8 @@ class KinematicPlanner:
         count, gains = len(targets), self._parameters
         settings = np.array([gains.task_gain, gains.damping, self._period])
         fixed = (np.repeat(one[:, None], count, axis=1) for one in (settings, self._arm.values))
-        steps = planner_function(self._arm.structure).mapaccum(count)
-        moved: Floats = steps(q_bar, targets.T, *fixed).full().T
+        follow = planner_function(self._arm.structure).mapaccum(count)
+        moved: Floats = np.asarray(follow(q_bar, targets.T, *fixed).full()).T
         return moved
 
 

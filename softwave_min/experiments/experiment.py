@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import pandas as pd
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from softwave_min.parameters import ParameterSet
 from softwave_min.store import Run
 
-__all__ = ["Experiment", "RunArrays", "Tables"]
+__all__ = ["Experiment", "RunArrays", "Tables", "Tolerance"]
 
 Tables = Mapping[str, pd.DataFrame]
 RunArrays = Mapping[str, Mapping[str, NDArray[Any]]]
@@ -20,6 +20,14 @@ RunArrays = Mapping[str, Mapping[str, NDArray[Any]]]
 
 def _nothing(_: Run) -> None:
     """Prepare nothing."""
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """How far a number may be off and count as reproduced: by the larger of the two."""
+
+    relative: float = 1e-4
+    absolute: float = 1e-6
 
 
 @dataclass(frozen=True)
@@ -39,3 +47,10 @@ class Experiment:
     prepare: Callable[[Run], object] = _nothing
     """Called once with the first run, before processes share the work: compiles what
     all of them need."""
+    tolerances: Mapping[str, Tolerance] = field(default_factory=dict)
+    """Within which a column of its tables is reproduced on another machine, by
+    ``column`` or, for one table alone, ``table.column``. Elsewhere a number with a
+    fraction has `Tolerance()`, which leaves room for other processors and compilers;
+    whole numbers and text must be equal."""
+    on_request: bool = False
+    """Whether it is computed only when named: it takes longer than a reader waits."""

@@ -1,0 +1,297 @@
+"""The commands: what each prints, and its exit status."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from argparse import Namespace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from importlib import import_module
+from itertools import groupby
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from softwave_min.compare import (
+    Comparison,
+    committed_stems,
+    committed_table,
+    compare_tables,
+    table_stems,
+    tolerances_of,
+)
+from softwave_min.experiments import NAMES, Experiment, experiment
+from softwave_min.figures import style
+from softwave_min.native import description
+from softwave_min.parameters import (
+    DEFAULT_SET,
+    SET_NAMES,
+    ParameterError,
+    ParameterSet,
+    data_folder,
+    load_parameters,
+    parameter_set,
+)
+from softwave_min.store import Store, results_folder, write_atomically
+from softwave_min.sweep import (
+    Freshness,
+    SweepError,
+    compute,
+    figures_are_current,
+    figures_identity,
+    file_digests,
+    freshness,
+)
+from softwave_min.workers import Cluster, Processes, Workers
+
+__all__ = ["compare", "figures", "list_experiments", "run", "status", "verify"]
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What a command line asks for."""
+
+    experiments: tuple[Experiment, ...]
+    by_name: bool
+    parameters: ParameterSet
+    place: Path
+    """Where the parameters' results lie below ``results/``."""
+    root: Path
+    """The folder that stands for it."""
+
+    def store(self, one: Experiment) -> Store:
+        return Store(one.name, self.root)
+
+    @property
+    def not_waited_for(self) -> tuple[Experiment, ...]:
+        """Those that nobody named and that take too long to be computed unasked."""
+        return () if self.by_name else tuple(one for one in self.experiments if one.on_request)
+
+    @property
+    def computed(self) -> tuple[Experiment, ...]:
+        left = self.not_waited_for
+        return tuple(one for one in self.experiments if one not in left)
+
+
+def _asked(options: Namespace) -> _Asked:
+    parameters, label = _parameters(options.set or DEFAULT_SET, options.parameters)
+    if options.seeds not in {None, parameters.sea.realisations}:
+        parameters = replace(parameters, sea=replace(parameters.sea, realisations=options.seeds))
+        label = f"{label}-{options.seeds}-seeds"
+    place = Path() if label == DEFAULT_SET else Path("sets", label)
+    names = getattr(options, "names", [])
+    return _Asked(
+        experiments=tuple(_experiment(name) for name in names or NAMES),
+        by_name=bool(names),
+        parameters=parameters,
+        place=place,
+        root=options.results.resolve() if options.results else results_folder() / place,
+    )
+
+
+def _parameters(name: str, file: Path | None) -> tuple[ParameterSet, str]:
+    """The set, and what its results are labelled with."""
+    if file is None:
+        return parameter_set(name), name
+    parameters = load_parameters(file)
+    if file.stem in SET_NAMES and file.resolve().parent != data_folder() / "parameters":
+        raise ParameterError(f"{file}: a set that ships has that name; call it otherwise")
+    return parameters, file.stem
+
+
+def _experiment(name: str) -> Experiment:
+    try:
+        return experiment(name)
+    except KeyError as error:
+        raise ParameterError(error.args[0]) from None
+
+
+def _workers(options: Namespace) -> Workers:
+    return (
+        Cluster(options.scheduler)
+        if options.scheduler
+        else Processes(options.jobs or os.cpu_count() or 1)
+    )
+
+
+# --- list -------------------------------------------------------------------------------
+
+
+def list_experiments(options: Namespace) -> int:
+    """Name, number of runs, claims and title of each experiment."""
+    asked = _asked(options)
+    for one in asked.experiments:
+        runs = len(one.runs(asked.parameters))
+        request = "on request" if one.on_request else ""
+        print(f"{one.name:18} {runs:5} runs {request:11} {_claims(one.claims):10} {one.title}")
+    return 0
+
+
+def _claims(ids: Sequence[str]) -> str:
+    """'C01-C03, C07' from single ids; those of one letter that follow one another are joined."""
+    numbered = [(int(one[1:]) - place, one) for place, one in enumerate(sorted(ids))]
+    groups = [[one for _, one in group] for _, group in groupby(numbered, key=lambda item: item[0])]
+    return ", ".join(group[0] if len(group) == 1 else f"{group[0]}-{group[-1]}" for group in groups)
+
+
+# --- run --------------------------------------------------------------------------------
+
+
+def run(options: Namespace) -> int:
+    """Compute what is missing or stale, and draw its figures."""
+    asked = _asked(options)
+    stale: list[str] = []
+    failed = False
+    with _workers(options) as workers:
+        _announce(options)
+        for one in asked.computed:
+            try:
+                news = _computed(one, asked, workers)
+            except SweepError as error:
+                failed = True
+                print(error, file=sys.stderr, flush=True)
+                continue
+            current = figures_are_current(one, asked.parameters, asked.store(one))
+            stale += [one.name] * (not current)
+            if news or current:
+                print(f"{one.name}: {news or 'up to date'}", flush=True)
+        _draw_all(stale, asked, workers)
+    _report_left(asked)
+    return 1 if failed else 0
+
+
+def _announce(options: Namespace) -> None:
+    where = f"on the cluster at {options.scheduler}" if options.scheduler else description()
+    print(f"controllers and plant: {where}", flush=True)
+
+
+def _computed(one: Experiment, asked: _Asked, workers: Workers) -> str:
+    """Compute an experiment; what there is to say of it."""
+    started = time.perf_counter()
+    count = compute(one, asked.parameters, asked.store(one), workers)
+    return f"{count} runs computed in {time.perf_counter() - started:.1f} s" if count else ""
+
+
+def _report_left(asked: _Asked) -> None:
+    for one in asked.not_waited_for:
+        if freshness(one, asked.parameters, asked.store(one)) is Freshness.STALE:
+            print(f"{one.name}: stale; computed on request only: 'run {one.name}'")
+
+
+def _draw_all(names: Sequence[str], asked: _Asked, workers: Workers) -> None:
+    calls = [(name, asked.parameters, asked.root) for name in names]
+    painters = workers if workers.here else Processes(1)
+    for index, drawn in painters.completed(_draw, calls):
+        drawn.result()
+        print(f"{names[index]}: figures drawn", flush=True)
+
+
+def _draw(name: str, parameters: ParameterSet, root: Path) -> None:
+    """Draw an experiment's figures, wherever that is done."""
+    one, store = _experiment(name), Store(name, root)
+    style.apply()
+    module = import_module(f"softwave_min.figures.{name}")
+    drawings: dict[str, style.Drawing] = module.draw(store, parameters)
+    for stem, drawing in drawings.items():
+        write_atomically(store.folder / f"{stem}.svg", style.svg(drawing))
+        for suffix, film in drawing.media.items():
+            write_atomically(store.folder / f"{stem}.{suffix}", film)
+    store.write_provenance(
+        {
+            **store.provenance(),
+            "figures_identity": figures_identity(one, parameters),
+            "figures": {
+                stem: {"caption": drawing.caption, "alt": drawing.alt}
+                for stem, drawing in drawings.items()
+            },
+            "files": file_digests(store),
+        }
+    )
+
+
+# --- what is there ----------------------------------------------------------------------
+
+
+def figures(options: Namespace) -> int:
+    """Draw every figure anew from the runs that are here."""
+    asked = _asked(options)
+    for one in asked.experiments:
+        found = freshness(one, asked.parameters, asked.store(one))
+        if one in asked.not_waited_for and found in {Freshness.MISSING, Freshness.COMMITTED}:
+            continue
+        if found is Freshness.MISSING:
+            raise ParameterError(f"{one.name}: nothing to draw; 'run {one.name}' computes it")
+        _draw(one.name, asked.parameters, asked.root)
+        print(f"{one.name}: figures drawn", flush=True)
+    return 0
+
+
+def status(options: Namespace) -> int:
+    """Say what is fresh and what is stale."""
+    asked = _asked(options)
+    stale = []
+    for one in asked.experiments:
+        found = freshness(one, asked.parameters, asked.store(one))
+        print(f"{one.name}: {found.value}")
+        stale += [one] * (found is Freshness.STALE)
+    if stale:
+        named = " ".join(one.name for one in stale if one.on_request)
+        remedy = "run 'make all'" + f", and 'run {named}' of this command" * bool(named)
+        print(f"{len(stale)} of the results are stale: {remedy}", file=sys.stderr)
+    return 1 if stale else 0
+
+
+def compare(options: Namespace) -> int:
+    """Compare the tables with the committed ones."""
+    asked = _asked(options)
+    differ = 0
+    for one in asked.experiments:
+        store = asked.store(one)
+        for stem in table_stems(store.folder):
+            outcome = _compared(one, stem, store, asked.place)
+            _report(one, stem, outcome)
+            differ += not outcome.agrees
+    return 1 if options.strict and differ else 0
+
+
+# --- verify -----------------------------------------------------------------------------
+
+
+def verify(options: Namespace) -> int:
+    """Compute anew in a folder of its own, and compare with the committed tables."""
+    asked = _asked(options)
+    chosen = [one for one in asked.computed if committed_stems(asked.place / one.name)]
+    for one in asked.computed if asked.by_name else ():
+        if one not in chosen:
+            raise ParameterError(f"{one.name}: no tables are committed to compare with")
+    if not chosen:
+        raise ParameterError("no tables are committed to compare with")
+    differ = 0
+    with TemporaryDirectory(prefix="softwave-verify-") as folder, _workers(options) as workers:
+        _announce(options)
+        for one in chosen:
+            store = Store(one.name, Path(folder))
+            compute(one, asked.parameters, store, workers)
+            stems = {*committed_stems(asked.place / one.name), *table_stems(store.folder)}
+            for stem in sorted(stems):
+                outcome = _compared(one, stem, store, asked.place)
+                _report(one, stem, outcome)
+                differ += not outcome.agrees
+    if differ:
+        print(f"{differ} of the tables differ from the committed ones", file=sys.stderr)
+    return 1 if differ else 0
+
+
+def _compared(one: Experiment, stem: str, store: Store, place: Path) -> Comparison:
+    if stem not in table_stems(store.folder):
+        return Comparison(agrees=False, text="DIFFERS: committed, and not made any more")
+    tolerances = tolerances_of(one.tolerances, stem)
+    committed = committed_table(place / one.name, stem)
+    return compare_tables(store.read_table(stem), committed, tolerances)
+
+
+def _report(one: Experiment, stem: str, outcome: Comparison) -> None:
+    print(f"{one.name}/{stem}.csv: {outcome.text}", flush=True)
+    for difference in outcome.differences:
+        print(f"  {difference}", flush=True)

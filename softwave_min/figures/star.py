@@ -1,0 +1,298 @@
+"""The paper's Fig. star_trajectory, the errors in all seas, and the sweep over stars."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from softwave_min.arm import Arm
+from softwave_min.experiments.closed_loop import TRANSIENT
+from softwave_min.experiments.star import (
+    CONTROLLERS,
+    EXPERIMENT,
+    STILL,
+    TOLERANCE,
+    choice,
+)
+from softwave_min.experiments.star_path import StarParameters, star_vertices
+from softwave_min.figures.style import BLUE, DASHES, GREY, INK, ORANGE, SKY, Drawing
+from softwave_min.parameters import ParameterSet
+from softwave_min.store import Store
+
+__all__ = ["draw"]
+
+RunData = Mapping[str, NDArray[Any]]
+
+SHOWN_EVERY = 12.0
+"""Time between two postures of the arm, in s."""
+NAMES = {"baseline": "feed-forward + PD", "nmpc": "NMPC"}
+SHOWN_MEASURES = {
+    "rmse": ("o", "RMSE of the distance, whole run"),
+    "rmse_settled": ("s", f"the same after {TRANSIENT:.0f} s"),
+    "cross_track": ("D", "RMSE of the distance to the star's edges"),
+    "largest_settled": ("^", f"largest distance after {TRANSIENT:.0f} s"),
+    "root_integral_square": ("x", r"$(\int e^2\,\mathrm{d}t)^{1/2}$, m s$^{1/2}$"),
+}
+
+
+def draw(store: Store, parameters: ParameterSet) -> dict[str, Drawing]:
+    """The paper's four panels, the errors over the seas, and the sweep."""
+    runs = {run.name: run for run in EXPERIMENT.runs(parameters)}
+    with_waves = store.load_run(runs[f"{choice().case}-{parameters.sea.seed}"])
+    calm = store.load_run(runs[STILL])
+    return {
+        "star_trajectory": _trajectory(with_waves, calm, parameters),
+        "errors": _errors(store.read_table("star"), store.read_table("headline")),
+        "sweep": _sweep(store.read_table("sweep")),
+    }
+
+
+def _trajectory(with_waves: RunData, calm: RunData, parameters: ParameterSet) -> Drawing:
+    base = np.array(parameters.arm.base_position)
+    figure = plt.figure(figsize=(7.0, 5.4))
+    left, right = figure.add_gridspec(1, 2, width_ratios=(1.0, 1.25))
+    column = left.subgridspec(3, 1)
+    top = figure.add_subplot(column[0])
+    others = [figure.add_subplot(column[row], sharex=top) for row in (1, 2)]
+    plane = figure.add_subplot(right)
+    for axes, axis, letter, panel in ((top, 0, "x", "(a)"), (others[0], 1, "z", "(b)")):
+        _coordinate(axes, with_waves, calm, axis, float(base[axis]))
+        axes.set_ylabel(f"{letter} from the base, m")
+        axes.set_title(panel)
+        axes.tick_params(labelbottom=False)
+    failed = _distances(others[1], with_waves, calm)
+    _plane(plane, with_waves, calm, Arm(parameters.arm, parameters.fluid), base)
+    chosen = choice()
+    median = {
+        name: 1000 * float(np.median(_error(data, "nmpc")[with_waves["time"] >= TRANSIENT]))
+        for name, data in (("waves", with_waves), ("calm", calm))
+    }
+    return Drawing(
+        figure,
+        caption=(
+            f"The star under NMPC in the sea {chosen.case} at a significant height of "
+            f"{chosen.significant_height:.0f} m (subscript $\\tau$) and in still water "
+            "(subscript 0), from the fully extended arm. Coordinates of the tip relative to the "
+            "base: (a) along the waves, (b) upwards; (c) distance of the tip from where it should "
+            "be, on a logarithmic scale, "
+            + (
+                f"with crosses at the {failed} solves that did not converge; "
+                if failed
+                else "and no solve failed; "
+            )
+            + f"(d) the path, with the arm in the waves every {SHOWN_EVERY:.0f} s. Size, speed and "
+            "centre of the star are our choice, because the paper states none."
+        ),
+        alt=(
+            "Three time series and a picture of the plane. The tip starts right of the star at the "
+            "arm's full length, swings over to its upper point, and then goes round. The median "
+            f"distance after the start is {median['waves']:.1f} mm with waves and "
+            f"{median['calm']:.1f} mm without."
+        ),
+    )
+
+
+def _coordinate(axes: Axes, with_waves: RunData, calm: RunData, axis: int, base: float) -> None:
+    time, letter = with_waves["time"], "xz"[axis]
+    axes.plot(time, with_waves["nmpc_target"][:, axis] - base, color=GREY, lw=3.0, label="desired")
+    series = ((with_waves, r"\tau", INK, DASHES[0]), (calm, "0", ORANGE, DASHES[2]))
+    for data, subscript, colour, dash in series:
+        label = f"${letter}_{subscript}$"
+        tip = data["nmpc_tip"][:, axis] - base
+        axes.plot(time, tip, color=colour, linestyle=dash, label=label)
+    _legend_above(axes)
+    axes.set_xlim(0, time[-1])
+
+
+def _legend_above(axes: Axes) -> None:
+    """Put the legend on the line of the title, where it hides no data."""
+    axes.legend(
+        ncols=3, loc="lower right", bbox_to_anchor=(1.0, 0.97), borderpad=0,
+        handlelength=1.8, handletextpad=0.4, columnspacing=0.9,
+    )  # fmt: skip
+
+
+def _error(data: RunData, controller: str) -> NDArray[np.float64]:
+    offset = data[f"{controller}_tip"] - data[f"{controller}_target"]
+    distance: NDArray[np.float64] = np.hypot(offset[:, 0], offset[:, 1])
+    return distance
+
+
+def _distances(axes: Axes, with_waves: RunData, calm: RunData) -> int:
+    time = with_waves["time"]
+    series = ((with_waves, r"$e_\tau$", INK, "-"), (calm, "$e_0$", ORANGE, DASHES[2]))
+    failed = 0
+    for data, label, colour, dash in series:
+        error = _error(data, "nmpc")
+        axes.semilogy(time, error, color=colour, linestyle=dash, label=label)
+        at = np.flatnonzero(data["nmpc_status"] > 0)
+        axes.plot(time[at], error[at], linestyle="none", marker="x", color=colour)
+        failed += len(at)
+    _legend_above(axes)
+    axes.set_ylim(bottom=1e-5)
+    axes.set(xlabel="time, s", ylabel="distance, m")
+    axes.set_title("(c)")
+    return failed
+
+
+def _plane(
+    axes: Axes, with_waves: RunData, calm: RunData, arm: Arm, base: NDArray[np.float64]
+) -> None:
+    period = float(with_waves["time"][1])
+    star = star_vertices(choice().path)
+    closed = np.vstack([star, star[:1]]) - base
+    shown = with_waves["nmpc_q"][:: round(SHOWN_EVERY / period)]
+    for axis in arm.axis(shown) - base:
+        axes.plot(axis[:, 0], axis[:, 1], color=SKY, linestyle="-", linewidth=1.0, zorder=1)
+    for tips in arm.segment_tips(shown) - base:
+        axes.plot(tips[:, 0], tips[:, 1], linestyle="none", marker=".", color=SKY, markersize=4)
+    axes.plot(closed[:, 0], closed[:, 1], color=GREY, lw=3.0, label="desired")
+    for data, label, colour, dash in (
+        (with_waves, r"with waves, $\tau$", INK, DASHES[0]),
+        (calm, "without, 0", ORANGE, DASHES[2]),
+    ):
+        tip = data["nmpc_tip"] - base
+        axes.plot(tip[:, 0], tip[:, 1], color=colour, linestyle=dash, label=label)
+    axes.plot(0, 0, marker="s", color=INK, markersize=5)
+    axes.set_aspect("equal")
+    axes.set(xlabel="x from the base, m", ylabel="z from the base, m")
+    axes.set_title("(d)")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=1)
+
+
+def _errors(table: pd.DataFrame, headline: pd.DataFrame) -> Drawing:
+    """RMSE of every sea, whole run and settled, beside the paper's."""
+    chosen = choice()
+    waves = list(chosen.rmse)
+    seas = int(headline.seas.max())
+    figure, panels = plt.subplots(1, 2, sharey=True, figsize=(7.0, 3.4))
+    marks = {"baseline": ("s", ORANGE), "nmpc": ("o", INK)}
+    for axes, measure in zip(panels, ("rmse", "rmse_settled"), strict=True):
+        for place, controller in enumerate(CONTROLLERS):
+            marker, colour = marks[controller]
+            x = np.arange(len(waves)) + 0.24 * (place - 0.5)
+            rows = headline[(headline.controller == controller) & (headline.measure == measure)]
+            rows = rows.set_index("wave").loc[waves]
+            axes.vlines(x, rows.low, rows.high, color=colour, linewidth=2.2)
+            axes.plot(
+                x, rows["median"], marker, color=colour, linestyle="none", label=NAMES[controller]
+            )
+            calm = table[(table.wave == STILL) & (table.controller == controller)][measure].iloc[0]
+            axes.axhline(
+                calm, color=colour, linestyle=DASHES[2], linewidth=1.0,
+                label=f"{NAMES[controller]}, still water",
+            )  # fmt: skip
+        if measure == "rmse":
+            axes.hlines(
+                list(chosen.rmse.values()), np.arange(len(waves)) - 0.3,
+                np.arange(len(waves)) + 0.3, color=BLUE, linewidth=2.0, linestyle=DASHES[1],
+                label="paper, NMPC",
+            )  # fmt: skip
+        axes.set_yscale("log")
+        axes.set_xlim(-0.5, len(waves) - 0.5)
+        axes.set_xticks(range(len(waves)), waves)
+    panels[0].set_ylabel("RMSE of the distance, m")
+    panels[0].set_title("(a) whole run")
+    panels[1].set_title(f"(b) after {TRANSIENT:.0f} s")
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    failed = int(table.solves_failed.sum())
+    return Drawing(
+        figure,
+        caption=(
+            f"Error on the star in the three seas, significant height "
+            f"{chosen.significant_height:.0f} m: "
+            + (
+                "one random sea"
+                if seas == 1
+                else f"median over {seas} random seas with the 5 % to 95 % range"
+            )
+            + ", and still water (dotted). (a) Over the whole run, beside the paper's numbers; "
+            f"(b) without the first {TRANSIENT:.0f} s. "
+            + (f"{failed} solves did not converge." if failed else "No solve failed.")
+        ),
+        alt=(
+            "Two panels with the seas W1, W2 and W3 on a logarithmic axis, each with a mark for "
+            "either controller. Medians in metres, whole run: "
+            f"{_in_words(headline, 'rmse', waves)}; after {TRANSIENT:.0f} s: "
+            f"{_in_words(headline, 'rmse_settled', waves)}."
+        ),
+    )
+
+
+def _in_words(headline: pd.DataFrame, measure: str, waves: list[str]) -> str:
+    """Medians of both controllers, wave by wave."""
+    medians = headline[headline.measure == measure].set_index(["controller", "wave"])["median"]
+    return ", ".join(
+        f"{NAMES[controller]} " + " / ".join(f"{medians[controller, wave]:.3f}" for wave in waves)
+        for controller in CONTROLLERS
+    )
+
+
+def _sweep(table: pd.DataFrame) -> Drawing:
+    """One line per star: its measures in the sea drawn, against the paper's numbers."""
+    chosen = choice()
+    keys = ["drawing", "manner", "laps", "previewed", "outer_radius"]
+    stars = table.groupby(keys, sort=False)
+    figure, axes = plt.subplots(figsize=(7.0, 6.4))
+    quoted = np.array(list(chosen.rmse.values()))
+    axes.axvspan(
+        quoted.min() * (1 - TOLERANCE), quoted.max() * (1 + TOLERANCE), color="#ececec", zorder=0
+    )
+    axes.axvspan(quoted.min(), quoted.max(), color="#cfcfcf", zorder=0)
+    labels = []
+    for row, (key, group) in enumerate(stars):
+        values = group.set_index("measure")
+        for measure, (marker, _) in SHOWN_MEASURES.items():
+            agrees = bool(values.candidate[measure])
+            axes.plot(
+                values[chosen.case][measure], row, marker, color=BLUE if agrees else INK,
+                markerfacecolor=BLUE if agrees else "white", markersize=9 if agrees else 5,
+            )  # fmt: skip
+        failed = int(group.solves_failed.iloc[0])
+        nominal = "nominal: " if key == _key(chosen.path) else ""
+        labels.append(nominal + _described(key) + (f" [{failed}]" if failed else ""))
+    for marker, label in SHOWN_MEASURES.values():
+        axes.plot([], [], marker, color=INK, markerfacecolor="white", label=label)
+    axes.set_yticks(range(len(labels)), labels)
+    axes.invert_yaxis()
+    axes.set_xscale("log")
+    axes.set_xlabel(f"measure of the error in {chosen.case}, m")
+    figure.legend(loc="outside upper center", ncols=2)
+    agreeing = int(table.candidate.sum())
+    return Drawing(
+        figure,
+        caption=(
+            "Which star gives the paper's numbers? One line per star: its drawing, how it is "
+            "followed, laps in a run, whether the NMPC is told the coming path (else the next "
+            "point is held over the horizon), outer radius; in brackets the solves that did not "
+            f"converge. Marks: measures of the error in {chosen.case}. Dark band: the paper's "
+            f"numbers; light band: {100 * TOLERANCE:.0f} % beyond them. Large filled marks: within "
+            f"{100 * TOLERANCE:.0f} % of the paper's number in each of the three seas "
+            f"({agreeing} of all {len(table)} combinations of star and measure)."
+        ),
+        alt=(
+            f"A chart with {len(labels)} lines and {len(SHOWN_MEASURES)} kinds of marks on a "
+            "logarithmic axis. Followed along its edges with preview, a star within reach is left "
+            "of the band of the paper's numbers by nearly every measure that is a length. Longer "
+            "jumps and a reference that is held over the horizon move the marks to the right."
+        ),
+    )
+
+
+def _key(star: StarParameters) -> tuple[Any, ...]:
+    return star.drawing, star.manner, star.laps, True, star.outer_radius
+
+
+def _described(key: Any) -> str:
+    drawing, manner, laps, previewed, radius = key
+    how = "along edges" if manner == "edges" else "by jumps"
+    told = "told" if previewed else "held"
+    laps_in_words = f"{laps} lap{'s' if laps > 1 else ''}"
+    return f"{drawing.replace('_', ' ')}, {how}, {laps_in_words}, {told}, {radius:.2f} m"
