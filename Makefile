@@ -78,7 +78,7 @@ seeds: environment ## The headline numbers in 20 random seas: up to a quarter of
 	@$(PY) -m softwave_min run random_seas
 
 calibration: environment ## Search for the parameters that come closest to the paper's numbers
-	@$(PY) -m softwave_min run calibration
+	@$(PY) -m softwave_min calibrate
 
 mutation: environment ## Break every line of the arm and the waves and see whether a test notices
 	@$(PY) tests/mutation.py

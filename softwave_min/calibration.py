@@ -21,6 +21,7 @@ import re
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -65,6 +66,7 @@ __all__ = [
     "Number",
     "OpenValue",
     "Search",
+    "best_set_text",
     "calibrate",
     "evaluate",
     "flatness",
@@ -86,6 +88,9 @@ GAIN = "baseline.proportional_gain"
 NEAR = 1.0
 """A set counts as about as good as the best if its objective is larger by no more."""
 SIGNIFICANT_DIGITS = 4
+CALIBRATED_HEADER = """# The calibrated parameter set, made by
+# `python -m softwave_min calibrate --write`: the physical set with those of its open values
+# that come closest to the paper's numbers."""
 
 
 @validated(frozen=True, config=ConfigDict(extra="forbid"))
@@ -224,6 +229,17 @@ def set_text(text: str, parameters: ParameterSet, fields: Sequence[str]) -> str:
         if count == 0:
             raise ParameterError(f"{field}: no such line in the set")
     return text
+
+
+def best_set_text(evaluations: pd.DataFrame, folder: Path) -> str:
+    """TOML text of the best set of the record: that of the starting set in ``folder``, with
+    the values found.
+    """
+    best = evaluations.iloc[int(evaluations["objective"].to_numpy().argmin())]
+    fields = [value.field for value in open_values()]
+    found = with_values(parameter_set(START), {field: float(best[field]) for field in fields})
+    text = set_text((folder / f"{START}.toml").read_text(encoding="utf-8"), found, fields)
+    return text.replace(f"# The {START} parameter set.", CALIBRATED_HEADER, 1)
 
 
 # --- one evaluation ---------------------------------------------------------------------

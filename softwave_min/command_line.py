@@ -81,6 +81,18 @@ def _parser() -> argparse.ArgumentParser:
         one.set_defaults(command=command, results=None)
         for add in (*options, _parameters):
             add(one)
+    search = subparsers.add_parser(
+        "calibrate",
+        help="search for the parameter set that comes closest to the paper's numbers",
+        description="Search as data/parameters/calibration.toml says; goes on where it was "
+        "interrupted.",
+    )
+    search.set_defaults(command=commands.calibrate)
+    search.add_argument(
+        "--write", action="store_true", help=f"make the best one the set {DEFAULT_SET!r}"
+    )
+    _workers(search)
+    _results(search)
     return parser
 
 

@@ -13,6 +13,8 @@ from itertools import groupby
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from softwave_min.calibration import best_set_text, search_settings
+from softwave_min.calibration import calibrate as search_for_set
 from softwave_min.compare import (
     Comparison,
     committed_stems,
@@ -45,7 +47,11 @@ from softwave_min.sweep import (
 )
 from softwave_min.workers import Cluster, Processes, Workers
 
-__all__ = ["compare", "figures", "list_experiments", "run", "status", "verify"]
+__all__ = ["calibrate", "compare", "figures", "list_experiments", "run", "status", "verify"]
+
+
+SEARCH = "calibration"
+"""Folder of its results."""
 
 
 @dataclass(frozen=True)
@@ -253,6 +259,25 @@ def compare(options: Namespace) -> int:
             _report(one, stem, outcome)
             differ += not outcome.agrees
     return 1 if options.strict and differ else 0
+
+
+# --- calibration ------------------------------------------------------------------------
+
+
+def calibrate(options: Namespace) -> int:
+    """Search for the parameter set that comes closest to the paper's numbers."""
+    store = Store(SEARCH, options.results.resolve() if options.results else results_folder())
+    with _workers(options) as workers:
+        _announce(options)
+        table = search_for_set(store, workers, search_settings())
+    best = table.iloc[int(table["objective"].to_numpy().argmin())]
+    print(f"{len(table)} sets judged; objective {table['objective'][0]:.2f} at the start, ", end="")
+    print(f"{best['objective']:.2f} at the best")
+    if options.write:
+        folder = data_folder() / "parameters"
+        write_atomically(folder / f"{DEFAULT_SET}.toml", best_set_text(table, folder).encode())
+        print(f"data/parameters/{DEFAULT_SET}.toml written")
+    return 0
 
 
 # --- verify -----------------------------------------------------------------------------

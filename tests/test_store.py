@@ -11,11 +11,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from softwave_min import identity, store, sweep
+from softwave_min import identity, sweep
 from softwave_min.experiments import NAMES, experiment
 from softwave_min.experiments.experiment import Experiment
 from softwave_min.store import Run, Store, read_table, table_text, write_atomically
 from softwave_min.sweep import Freshness, SweepError, compute, freshness
+from softwave_min.workers import Processes
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,7 @@ def test_identity_follows_the_parameters_and_the_lock(monkeypatch):
     assert square(2.0).identity == square(2.0).identity
     assert square(2.0).identity != square(np.nextafter(2.0, 3.0)).identity
     before = square(2.0).identity
-    monkeypatch.setattr(store, "lock_digest", lambda: "another lock")
+    monkeypatch.setattr(identity, "lock_digest", lambda: "another lock")
     assert square(2.0).identity != before
 
 
@@ -151,6 +152,7 @@ def test_a_run_defined_otherwise_is_not_taken_for_the_saved_one(shelf):
 def test_a_new_definition_replaces_the_files_of_the_former_alone(shelf):
     for run in (square(3.0), square(5.0, "square-2"), square(4.0)):
         shelf.save_run(run, area(run.parameters), {})
+    shelf.tidy([square(4.0)])
     assert not shelf.has(square(3.0))
     assert shelf.has(square(4.0))
     assert shelf.has(square(5.0, "square-2"))
@@ -199,24 +201,24 @@ def test_tables_keep_ten_digits():
 
 def test_a_sweep_computes_what_is_missing_and_nothing_twice(shelf, nominal):
     assert freshness(squares(1.0, 2.0), nominal, shelf) is Freshness.MISSING
-    assert compute(squares(1.0, 2.0), nominal, shelf, jobs=1) == 2
-    assert compute(squares(1.0, 2.0), nominal, shelf, jobs=1) == 0
-    assert compute(squares(1.0, 2.5), nominal, shelf, jobs=1) == 1
+    assert compute(squares(1.0, 2.0), nominal, shelf, Processes(1)) == 2
+    assert compute(squares(1.0, 2.0), nominal, shelf, Processes(1)) == 0
+    assert compute(squares(1.0, 2.5), nominal, shelf, Processes(1)) == 1
     assert list(shelf.read_table("areas")["area"]) == [1.0, 6.25]
 
 
 def test_a_sweep_that_failed_keeps_the_runs_that_did_not(shelf, nominal):
     with pytest.raises(SweepError, match="s1: negative side"):
-        compute(squares(1.0, -1.0, 3.0), nominal, shelf, jobs=1)
+        compute(squares(1.0, -1.0, 3.0), nominal, shelf, Processes(1))
     assert not shelf.provenance()
-    assert compute(squares(1.0, 2.0, 3.0), nominal, shelf, jobs=1) == 1
+    assert compute(squares(1.0, 2.0, 3.0), nominal, shelf, Processes(1)) == 1
 
 
 @pytest.fixture
 def finished(shelf, nominal, monkeypatch):
     """The shelf with the tables of one square, and figures as it were."""
     monkeypatch.setattr(sweep, "figures_identity", lambda *_: "drawn")
-    compute(squares(1.0), nominal, shelf, jobs=1)
+    compute(squares(1.0), nominal, shelf, Processes(1))
     shelf.write_provenance({**shelf.provenance(), "figures_identity": "drawn"})
     return shelf
 

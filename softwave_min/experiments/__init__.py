@@ -12,7 +12,15 @@ from softwave_min.experiments.experiment import Experiment
 
 __all__ = ["NAMES", "Experiment", "experiment"]
 
-NAMES = ("spectra", "example_case")
+NAMES = (
+    "spectra",
+    "example_case",
+    "error_ratio",
+    "setpoints",
+    "actuator_failure",
+    "star",
+    "random_seas",
+)
 
 
 def experiment(name: str) -> Experiment:

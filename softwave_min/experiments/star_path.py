@@ -113,9 +113,8 @@ def star_path(star: StarParameters, times: ArrayLike) -> Floats:
     passed = star.vertices * progress
     index = np.floor(passed + ROUNDING).astype(int)
     here, there = corners[index % star.vertices], corners[(index + 1) % star.vertices]
-    if star.manner == "vertices":
-        return here
-    path: Floats = here + (passed - index)[:, None] * (there - here)
+    gone = passed - index if star.manner == "edges" else np.zeros_like(passed)
+    path: Floats = here + gone[:, None] * (there - here)
     return path
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from softwave_min.arm import Arm
+from softwave_min.control.nmpc import Status
 from softwave_min.experiments.example_case import (
     EXPERIMENT,
     SEAS,
@@ -18,11 +19,11 @@ from softwave_min.experiments.example_case import (
 from softwave_min.figures.headline import Side, headline
 from softwave_min.figures.style import BLUE, DASHES, GREY, INK, ORANGE, SERIES, Drawing
 from softwave_min.parameters import ParameterSet
-from softwave_min.simulation import ClosedLoop
+from softwave_min.simulation import ClosedLoop, Source
 from softwave_min.store import Run, Store
 from softwave_min.waves import Sea
 
-__all__ = ["draw"]
+__all__ = ["draw", "mark_failures"]
 
 SEA_NAMES = {"jonswap": "JONSWAP sea W3", "measured": "measured sea, NDBC 41010"}
 
@@ -54,6 +55,7 @@ def _panels(name: str, run: Run, loop: ClosedLoop) -> Drawing:
     axes[3].set_ylabel("wave torque, N m")
     axes[3].set_xlabel("time, s")
     axes[3].set_xlim(0, loop.time[-1])
+    failed = mark_failures(axes[3], loop)
     figure.align_ylabels(axes)
     height = case.parameters.sea.significant_height
     target = "({:.1f}, {:.1f}) m".format(*case.target)
@@ -64,6 +66,7 @@ def _panels(name: str, run: Run, loop: ClosedLoop) -> Drawing:
             f"{height:.1f} m, tip held at {target}: (a) elevation above the base, (b) tips of "
             "the three segments relative to the base, (c) actuation torques, (d) wave torques. "
             "Shaded: the norm of the wave torques is above its 90 % quantile over the window."
+            + failed
         ),
         alt=(
             "Four stacked time series over 60 s. The elevation swings over metres; the tip of "
@@ -71,6 +74,28 @@ def _panels(name: str, run: Run, loop: ClosedLoop) -> Drawing:
             "torques mirror the wave torques, most clearly in the shaded bands."
         ),
     )
+
+
+def mark_failures(axes: Axes, loop: ClosedLoop) -> str:
+    """Put a tick on the time axis for every solve that failed; say so for the caption.
+
+    Failed are those that did not converge, and those whose input a fallback replaced.
+    """
+    failed = (loop.status > Status.CONVERGED) | (loop.source != Source.CONTROLLER)
+    if not np.any(failed):
+        return ""
+    base = np.zeros(np.count_nonzero(failed))
+    axes.plot(
+        loop.time[:-1][failed],
+        base,
+        linestyle="none",
+        marker="|",
+        color=ORANGE,
+        markersize=9,
+        clip_on=False,
+        transform=axes.get_xaxis_transform(),
+    )
+    return f" Ticks on the time axis: {len(base)} of {len(failed)} solves failed."
 
 
 def _elevation(axes: Axes, sea: Sea, loop: ClosedLoop) -> None:
@@ -118,11 +143,13 @@ def _errors(loops: dict[str, ClosedLoop]) -> Drawing:
         name: 1000 * float(np.median(loop.error[loop.time >= TRANSIENT]))
         for name, loop in loops.items()
     }
+    failed: list[str] = []
     figure, axes = plt.subplots(len(SEAS), 1, sharex=True, figsize=(7.0, 4.4))
     for one, sea in zip(axes, SEAS, strict=True):
         baseline, nmpc = loops[f"{sea}-baseline"], loops[f"{sea}-nmpc"]
         one.semilogy(baseline.time, baseline.error, color=ORANGE, linestyle=DASHES[1])
         one.semilogy(nmpc.time, nmpc.error, color=INK, linestyle="-")
+        failed.append(mark_failures(one, nmpc))
         one.axvline(TRANSIENT, color=GREY, linewidth=0.8, linestyle="-")
         one.set_ylabel("tip error, m")
         one.set_title(SEA_NAMES[sea])
@@ -135,7 +162,7 @@ def _errors(loops: dict[str, ClosedLoop]) -> Drawing:
         caption=(
             "Distance of the tip from its target under both controllers in both seas, on a "
             "logarithmic scale. Left of the vertical line is the start-up transient from the "
-            "straight arm, which the paper's RMSE includes in our reading."
+            "straight arm, which the paper's RMSE includes in our reading." + "".join(failed)
         ),
         alt=(
             "Two panels, one per sea. After the first seconds the NMPC's error stays far below "

@@ -56,11 +56,11 @@ def draw(store: Store, parameters: ParameterSet) -> dict[str, Drawing]:
 def _trajectory(with_waves: RunData, calm: RunData, parameters: ParameterSet) -> Drawing:
     base = np.array(parameters.arm.base_position)
     figure = plt.figure(figsize=(7.0, 5.4))
-    left, right = figure.add_gridspec(1, 2, width_ratios=(1.0, 1.25))
-    column = left.subgridspec(3, 1)
+    halves = figure.add_gridspec(1, 2, width_ratios=(1.0, 1.25))
+    column = halves[0].subgridspec(3, 1)
     top = figure.add_subplot(column[0])
     others = [figure.add_subplot(column[row], sharex=top) for row in (1, 2)]
-    plane = figure.add_subplot(right)
+    plane = figure.add_subplot(halves[1])
     for axes, axis, letter, panel in ((top, 0, "x", "(a)"), (others[0], 1, "z", "(b)")):
         _coordinate(axes, with_waves, calm, axis, float(base[axis]))
         axes.set_ylabel(f"{letter} from the base, m")
@@ -249,11 +249,12 @@ def _sweep(table: pd.DataFrame) -> Drawing:
     labels = []
     for row, (key, group) in enumerate(stars):
         values = group.set_index("measure")
-        for measure, (marker, _) in SHOWN_MEASURES.items():
+        for measure, (marker, _) in reversed(SHOWN_MEASURES.items()):
             agrees = bool(values.candidate[measure])
             axes.plot(
                 values[chosen.case][measure], row, marker, color=BLUE if agrees else INK,
                 markerfacecolor=BLUE if agrees else "white", markersize=9 if agrees else 5,
+                markeredgecolor="white" if agrees and marker != "x" else None,
             )  # fmt: skip
         failed = int(group.solves_failed.iloc[0])
         nominal = "nominal: " if key == _key(chosen.path) else ""

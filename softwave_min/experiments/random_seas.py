@@ -1,0 +1,117 @@
+"""The paper's headline numbers over many random seas: medians and 90 % intervals.
+
+The paper shows one sea per case. Here the grid, the failed middle segment and the star are
+run in `SEEDS` seas each (or as many as are asked for), which share nothing but their spectra;
+noise differs as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import pandas as pd
+from numpy.typing import NDArray
+
+from softwave_min.experiments import actuator_failure, error_ratio, star
+from softwave_min.experiments.closed_loop import LoopRun, closed_loops, prepare
+from softwave_min.experiments.experiment import Experiment, RunArrays, Tables
+from softwave_min.parameters import ParameterSet
+from softwave_min.store import Run
+
+__all__ = ["EXPERIMENT", "SEEDS", "in_many_seas"]
+
+SEEDS = 20
+"""Random seas, unless the parameters ask for more than one."""
+CASES = (actuator_failure.INTACT, actuator_failure.PAPERS_CASE)
+KEPT = ("error", "status", "source")
+"""Fields of a closed loop that the tables need."""
+
+
+def in_many_seas(parameters: ParameterSet) -> ParameterSet:
+    """The parameters with as many seas as this experiment takes."""
+    if parameters.sea.realisations > 1:
+        return parameters
+    return replace(parameters, sea=replace(parameters.sea, realisations=SEEDS))
+
+
+def errors(run: LoopRun) -> dict[str, NDArray[Any]]:
+    """Errors and statuses of the closed loops."""
+    found = closed_loops(run)
+    return {name: array for name, array in found.items() if name.endswith(KEPT)}
+
+
+def _named(parameters: ParameterSet) -> Iterator[tuple[str, Run]]:
+    """What the tables are made of, by the names that their makers know."""
+    for cell in error_ratio.cells(parameters):
+        yield cell.name, cell.run
+    for place in actuator_failure.places(parameters):
+        for case in CASES:
+            run = place.run(case)
+            yield run.name, run
+    for run in star.runs_in_seas(parameters):
+        yield f"star-{run.name}", run
+
+
+def _distinct(parameters: ParameterSet) -> tuple[list[Run], dict[str, str]]:
+    """The runs, each once, and the name of the run for each name of a closed loop."""
+    by_parameters: dict[Any, Run] = {}
+    aliases: dict[str, str] = {}
+    for name, run in _named(in_many_seas(parameters)):
+        compute = errors if isinstance(run.parameters, LoopRun) else run.compute
+        kept = by_parameters.setdefault(run.parameters, Run(name, compute, run.parameters))
+        aliases[name] = kept.name
+    return list(by_parameters.values()), aliases
+
+
+def runs(parameters: ParameterSet) -> Sequence[Run]:
+    """Every closed loop that the headline numbers need, once."""
+    return _distinct(parameters)[0]
+
+
+def tabulate(parameters: ParameterSet, arrays: RunArrays) -> Tables:
+    """The three experiments' tables over all seas, and the headline numbers of each."""
+    _, aliases = _distinct(parameters)
+    of = {name: arrays[run] for name, run in aliases.items()}
+    stars = {name.removeprefix("star-"): of[name] for name in of if name.startswith("star-")}
+    many = in_many_seas(parameters)
+    grid = error_ratio.cell_table(many, of)
+    failure = actuator_failure.grid_table(many, of, CASES)
+    followed = star.star_table(many, stars)
+    return {
+        "error_ratio": grid,
+        "actuator_failure": failure,
+        "star": followed,
+        "reductions": error_ratio.headline(grid),
+        "reductions_settled": error_ratio.headline(grid, "ratio_settled"),
+        "rises": actuator_failure.headline(failure),
+        "rise_spread": actuator_failure.spread(failure),
+        "star_errors": star.headline(followed),
+        "places": _places(grid),
+    }
+
+
+def _places(grid: pd.DataFrame) -> pd.DataFrame:
+    """In how many seas the largest and the smallest reduction occur at each pose."""
+    found = error_ratio.extremes(grid)
+    counts = found.groupby(["wave", "extreme", "pose", "paper_pose"], sort=False).size()
+    table = counts.rename("seas").reset_index()
+    table["share"] = table["seas"] / grid["seed"].nunique()
+    return table
+
+
+def _prepare(run: Run) -> None:
+    if isinstance(run.parameters, LoopRun):
+        prepare(run)
+
+
+EXPERIMENT = Experiment(
+    name="random_seas",
+    title="The headline numbers over twenty random seas",
+    claims=(),
+    runs=runs,
+    tabulate=tabulate,
+    prepare=_prepare,
+    on_request=True,
+)

@@ -1,0 +1,267 @@
+"""Sweeps: by whom they are computed, interrupted, resumed and reported."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import psutil
+import pytest
+from toy_sweep import RUNS, toy
+from toy_sweep import compute as compute_sample
+
+from softwave_min import store as stores
+from softwave_min.identity import ROOT, run_identity
+from softwave_min.parameters import parameter_set
+from softwave_min.store import Store, read_table
+from softwave_min.sweep import SweepError, compute
+from softwave_min.workers import Cluster, Processes, attempt
+
+KILLS = 10
+PATIENCE = 20.0
+"""Longest that anything here may take on a busy machine, in s."""
+
+
+@pytest.fixture
+def shelf(tmp_path):
+    return Store("toy", tmp_path)
+
+
+def table_bytes(folder: Path):
+    return {path.name: path.read_bytes() for path in sorted(folder.glob("*.csv"))}
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory):
+    """Tables of the toy's sweep in this process, run after run."""
+    shelf = Store("toy", tmp_path_factory.mktemp("undisturbed"))
+    with Processes(1) as workers:
+        compute(toy(pause=0.0), parameter_set(), shelf, workers)
+    return table_bytes(shelf.folder)
+
+
+# --- who computes -----------------------------------------------------------------------
+
+
+def test_tables_are_the_same_to_the_last_bit_whoever_computes_the_runs(shelf, undisturbed):
+    with Processes(2) as workers:
+        assert compute(toy(pause=0.0), parameter_set(), shelf, workers) == RUNS
+    assert table_bytes(shelf.folder) == undisturbed
+
+
+def test_runs_that_end_in_another_order_make_the_same_tables(shelf, undisturbed):
+    class Backwards(Processes):
+        def completed(self, function, calls):
+            yield from reversed(list(super().completed(function, calls)))
+
+    compute(toy(pause=0.0), parameter_set(), shelf, Backwards(1))
+    assert table_bytes(shelf.folder) == undisturbed
+
+
+def test_a_sweep_on_a_dask_cluster_makes_the_same_tables(shelf, undisturbed, monkeypatch):
+    from distributed import LocalCluster
+
+    monkeypatch.syspath_prepend(Path(__file__).parent)
+    with (
+        LocalCluster(
+            host="127.0.0.1",
+            protocol="tcp://",
+            n_workers=1,
+            threads_per_worker=2,
+            processes=False,
+            dashboard_address=None,
+        ) as cluster,
+        Cluster(cluster.scheduler_address) as workers,
+    ):
+        with pytest.raises(SweepError, match=r"1 of 3 runs failed.*s-1-0: a seed below zero"):
+            compute(toy(seeds=(-1, 0, 1), pause=0.0), parameter_set(), shelf, workers)
+        assert compute(toy(pause=0.0), parameter_set(), shelf, workers) == RUNS - 2
+    assert table_bytes(shelf.folder) == undisturbed
+
+
+def test_a_worker_with_another_source_computes_nothing():
+    draw = toy(seeds=(1,)).runs(parameter_set())[0].parameters
+    assert attempt(compute_sample, draw, run_identity(compute_sample, draw)).failure == ""
+    assert "another source" in attempt(compute_sample, draw, "identity of older source").failure
+
+
+# --- failures ---------------------------------------------------------------------------
+
+
+def test_the_runs_beside_a_failed_one_are_kept_and_the_report_is_a_line(shelf):
+    with (
+        Processes(2) as workers,
+        pytest.raises(SweepError, match=r"^toy: 2 of 6 runs failed.* s-2-0: a seed below zero$"),
+    ):
+        compute(toy(seeds=range(-2, 4), pause=0.0), parameter_set(), shelf, workers)
+    assert compute(toy(seeds=range(5), pause=0.0), parameter_set(), shelf, Processes(1)) == 1
+
+
+def test_an_error_lets_the_workers_go_at_once():
+    def interrupted():
+        with Processes(2) as workers:
+            for _ in workers.completed(time.sleep, [(0.0,), (1000.0,), (1000.0,)]):
+                raise KeyboardInterrupt
+
+    started = time.perf_counter()
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert time.perf_counter() - started < PATIENCE
+
+
+# --- interruptions ----------------------------------------------------------------------
+
+
+class Death(BaseException):
+    """Ends a process here without a chance to clean up."""
+
+
+def test_a_death_at_any_write_changes_nothing_in_the_end(tmp_path, monkeypatch):
+    experiment, parameters = toy(seeds=range(3), pause=0.0), parameter_set()
+    compute(experiment, parameters, Store("toy", tmp_path / "whole"), Processes(1))
+    whole = table_bytes(tmp_path / "whole" / "toy")
+    replace, unlink = os.replace, os.unlink
+
+    def dies_at(write, before):
+        left = iter(range(write, -1, -1))
+
+        def replaced(source, target):
+            remaining = next(left)
+            if remaining == 0 and before:
+                raise Death
+            replace(source, target)
+            if remaining == 0:
+                raise Death
+
+        return replaced
+
+    deaths = 0
+    for write in range(100):
+        for before in (True, False):
+            shelf = Store("toy", tmp_path / f"{write}-{before}")
+            monkeypatch.setattr(stores.os, "unlink", lambda _: None)
+            monkeypatch.setattr(stores.os, "replace", dies_at(write, before))
+            with contextlib.suppress(Death):
+                compute(experiment, parameters, shelf, Processes(1))
+                assert deaths == 2 * 9  # three runs of two files, two tables, one record
+                return
+            deaths += 1
+            monkeypatch.setattr(stores.os, "replace", replace)
+            monkeypatch.setattr(stores.os, "unlink", unlink)
+            compute(experiment, parameters, shelf, Processes(1))
+            assert table_bytes(shelf.folder) == whole
+            assert not any(name.startswith(".writing-") for name in shelf.provenance()["files"])
+
+
+def test_what_dead_writers_and_former_definitions_leave_is_cleared_away(shelf):
+    compute(toy(seeds=range(2), pause=0.0), parameter_set(), shelf, Processes(1))
+    former = {path.name for path in shelf.folder.glob("runs/*")}
+    old, new = shelf.folder / ".writing-old", shelf.folder / "runs" / ".writing-new"
+    for path in (old, new):
+        path.write_bytes(b"half a ta")
+    os.utime(old, (0, 0))
+    compute(toy(seeds=range(2), pause=0.001), parameter_set(), shelf, Processes(1))
+    assert not old.exists()
+    assert new.exists()  # another sweep may be writing it
+    assert former.isdisjoint(path.name for path in shelf.folder.glob("runs/*"))
+
+
+def test_a_table_that_was_changed_by_hand_is_made_again(shelf):
+    experiment = toy(seeds=range(2), pause=0.0)
+    compute(experiment, parameter_set(), shelf, Processes(1))
+    made = table_bytes(shelf.folder)
+    (shelf.folder / "means.csv").write_text("run,mean\ns0-0,1.0\n")
+    assert compute(experiment, parameter_set(), shelf, Processes(1)) == 0
+    assert table_bytes(shelf.folder) == made
+
+
+@pytest.fixture
+def sweeps(tmp_path):
+    """A server of sweeps into a folder: arguments in, process id and exit status out."""
+    server = subprocess.Popen(
+        [sys.executable, "-c", "import toy_sweep; toy_sweep.serve()"],
+        env={
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), str(ROOT)]),
+            "SOFTWAVE_RESULTS": str(tmp_path),
+            "OPENBLAS_NUM_THREADS": "1",  # threads do not survive a fork
+            "PYTHONWARNINGS": "ignore",
+        },
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+
+    def answer(expected=str.isdecimal):
+        for line in server.stdout:
+            if expected(line.strip().removeprefix("-")):
+                return line.strip()
+        raise AssertionError("the server of sweeps has ended")
+
+    def start(*arguments):
+        print(*arguments, file=server.stdin, flush=True)
+        return psutil.Process(int(answer()))
+
+    answer("ready".__eq__)
+    yield start, lambda: int(answer())
+    server.kill()
+    server.communicate()
+
+
+def test_a_sweep_killed_ten_times_ends_with_the_tables_of_an_undisturbed_one(
+    tmp_path, sweeps, undisturbed
+):
+    start, status = sweeps
+    shelf = Store("toy", tmp_path)
+    runs = toy().runs(parameter_set())
+    random = np.random.default_rng(2401)
+    killed_at_work = 0
+    for kill in range(KILLS):
+        sweep = start("run", "--jobs", "2")
+        present = computed(shelf)
+        while kill % 2 and computed(shelf) == present:  # every second one when it is at work
+            time.sleep(0.005)
+        time.sleep(random.uniform(0.0, 0.15))
+        family = [sweep, *sweep.children(recursive=True)]
+        if kill % 4 < 2:
+            os.killpg(sweep.pid, signal.SIGKILL)
+        else:
+            sweep.kill()
+        assert status() == -signal.SIGKILL
+        assert not psutil.wait_procs(family, timeout=PATIENCE)[1]  # workers end as well
+        killed_at_work += computed(shelf) > present
+        readable(shelf, runs)
+    assert killed_at_work >= KILLS // 2
+    assert computed(shelf) < len(runs)
+    start("run", "--jobs", "2")
+    assert status() == 0
+    assert table_bytes(shelf.folder) == undisturbed
+    assert main_reports_fresh(shelf)
+
+
+def computed(shelf):
+    return sum(1 for _ in shelf.folder.glob("runs/*.npz"))
+
+
+def readable(shelf, runs):
+    """Whatever counts as there is whole."""
+    for run in runs:
+        if shelf.has(run):
+            np.testing.assert_array_equal(
+                shelf.load_run(run)["sample"], compute_sample(run.parameters)["sample"]
+            )
+    for path in shelf.folder.glob("*.csv"):
+        assert isinstance(read_table(path), pd.DataFrame)
+
+
+def main_reports_fresh(shelf):
+    runs = toy().runs(parameter_set())
+    return all(shelf.has(run) for run in runs) and bool(shelf.provenance())
