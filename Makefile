@@ -55,8 +55,9 @@ book: notebooks ## Build the book if an input changed: book/_build/html/index.ht
 lab: computed ## Open the notebooks in JupyterLab
 	@$(PY) -m jupyterlab notebooks
 
-bench: environment ## Time the plant's integrators and what the quadrature leaves
-	@$(PY) bench/plant_integrators.py
+bench: environment ## Time the solvers beside their peers (installed apart), ten minutes; judge the bars
+	@$(PY) bench/run.py
+	$(PY) bench/plant_integrators.py
 	$(PY) bench/quadrature.py
 
 # What a fresh clone lacks is computed; what is stale is an error, not a reason to compute.

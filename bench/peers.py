@@ -1,19 +1,22 @@
 """do-mpc on recorded problems. Runs in the bench's own environment, see ``run.py``.
 
-    python peers.py RECORDING... --steps N --output FILE
+    python peers.py RECORDING...
 
-Two formulations, both with the package's default settings: the arm as a continuous
-model, which do-mpc discretises by its own collocation; and the predictor's step as a
-discrete model, which is the very problem that the other methods solve.
+It is asked for a few problems at a time, so that it takes turns with the others. Two
+formulations, both with the package's default settings: the arm as a continuous model, which
+do-mpc discretises by its own collocation; and the predictor's step as a discrete model, which
+is the very problem that the other methods solve.
 """
 
 from __future__ import annotations
 
-import argparse
+import json
+import sys
 import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -144,37 +147,41 @@ def _tip(structure: Structure) -> Law:
     return tip
 
 
-def measure(peer: Peer, recordings: list[Recording], steps: int) -> dict[str, Floats]:
-    """Time, input, iterations and success of every step."""
-    rows = []
-    for recording in recordings:
-        peer.restart(recording.state[0], recording.guess[0])
-        for index in range(min(steps, len(recording.state))):
-            started = time.process_time()
-            applied, iterations, success = peer.solve(recording, index)
-            rows.append((time.process_time() - started, iterations, not success, *applied))
-    table = np.array(rows, dtype=float)
-    return {
-        "seconds": table[:, 0],
-        "iterations": table[:, 1],
-        "failed": table[:, 2],
-        "applied": table[:, 3:],
-    }
+class Server:
+    """Answers what ``run.py`` asks, formulation by formulation."""
+
+    def __init__(self, recordings: list[Recording]) -> None:
+        self._places = [
+            (recording, index) for recording in recordings for index in range(len(recording.state))
+        ]
+        parameters = bench_parameters()
+        self._peers = {name: Peer(parameters, name) for name in FORMULATIONS}
+
+    def answer(self, formulation: str, indices: range) -> list[dict[str, Any]]:
+        """Time, input, iterations and success of these problems, in their order."""
+        return [self._sample(self._peers[formulation], *self._places[i]) for i in indices]
+
+    def _sample(self, peer: Peer, recording: Recording, index: int) -> dict[str, Any]:
+        if index == 0:
+            peer.restart(recording.state[0], recording.guess[0])
+        started = time.process_time()
+        applied, iterations, success = peer.solve(recording, index)
+        seconds = time.process_time() - started
+        return {
+            "seconds": seconds,
+            "iterations": iterations,
+            "failed": not success,
+            "applied": applied.tolist(),
+        }
 
 
 def main() -> None:
-    """Measure both formulations."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("recordings", nargs="+", type=Path)
-    parser.add_argument("--steps", type=int, required=True)
-    parser.add_argument("--output", type=Path, required=True)
-    given = parser.parse_args()
-    recordings = [Recording.load(path) for path in given.recordings]
-    found = {}
-    for formulation in FORMULATIONS:
-        measured = measure(Peer(bench_parameters(), formulation), recordings, given.steps)
-        found |= {f"{formulation}.{name}": array for name, array in measured.items()}
-    np.savez(given.output, version=do_mpc.__version__, **found)
+    """Say the version, then answer each line of the input, [formulation, first, end]."""
+    server = Server([Recording.load(Path(path)) for path in sys.argv[1:]])
+    print(json.dumps(do_mpc.__version__), flush=True)
+    for line in sys.stdin:
+        formulation, first, end = json.loads(line)
+        print(json.dumps(server.answer(formulation, range(first, end))), flush=True)
 
 
 if __name__ == "__main__":

@@ -55,6 +55,8 @@ class Recording:
     """The shifted former plan: what every solver that takes a guess starts from."""
     applied: Floats
     """(N, n), the inputs applied by the solver that was recorded, in rad."""
+    cost: Floats
+    """(N,), its cost of each problem."""
 
     def __iter__(self) -> Iterator[tuple[Problem, Floats]]:
         for i in range(len(self.state)):
@@ -84,7 +86,7 @@ class _Recorder:
         solution = self._solver.solve(problem, guess)
         told = (problem.forecast.flow, problem.forecast.disturbance)
         given = (problem.state, problem.previous, problem.reference, *told, guess)
-        self.rows.append((*given, solution.inputs[0]))
+        self.rows.append((*given, solution.inputs[0], np.asarray(solution.cost)))
         return solution
 
 

@@ -1,68 +1,65 @@
-"""What a control step costs, here and with other programs; what ``make bench`` runs.
+"""What a control step costs, here and with other programs.
 
     python bench/run.py [--quick] [--without-peers] [--output FOLDER]
 
 The problems are those that a closed loop meets at P1 and P3 in sea W3 with a significant
-height of 3 m. Every method runs on one core. The time is the processor's, so that other work
-on the machine counts less. Written are
-bench.csv (every method), growth.csv (time over horizon and segments), rti.csv (the closed
-loop under real-time iteration), and bench.json: machine, versions, ratios.
+height of 3 m. Every method runs on one core and takes its turn every few problems; the time
+is the processor's, so that other work on the machine counts less. Written are steps.csv (every
+method), loops.csv (solver and plant together in the compiled engine), growth.csv (time over
+horizon and segments), real_time.csv (the closed loop under real-time iteration), bars.csv (what
+was asked for) and machine.json. Ends with status 1 if a bar is missed.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
-import hashlib
 import json
 import os
-import platform
-import shutil
-import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+import time
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from environment import BENCH, FORMULATIONS, PeerMethod, Peers, circumstances, on_one_core
 from fatrop import Fatrop
-from recording import CASE, HEIGHT, POSES, Recording, bench_parameters, record, scenario_at
+from recording import POSES, Recording, bench_parameters, record, scenario_at
 from step_time import (
     COMPILED,
     INTERPRETED,
+    PASSES,
     REAL_TIME_STEPS,
     Method,
     Row,
-    compiled_loop,
+    SolverMethod,
     engine_of,
     measure,
     own_methods,
-    row_of,
     table,
 )
 
 from softwave_min.control.interior_point import InteriorPoint
 from softwave_min.control.nmpc import Status
+from softwave_min.control.preview import told_flow
 from softwave_min.experiments import example_case
-from softwave_min.identity import ROOT
 from softwave_min.native import compiler
 from softwave_min.parameters import ParameterSet
 from softwave_min.simulation import (
-    NmpcController,
     Scenario,
+    preview_of,
     root_mean_square_error,
-    simulate,
+    simulate_nmpc,
 )
-from softwave_min.store import machine, repository_state, table_text, write_atomically
+from softwave_min.store import table_text, write_atomically
 
-BENCH = Path(__file__).resolve().parent
-PEERS = ROOT / ".build" / "bench-venv"
 IPOPT_TOLERANCE = 1e-8
 """IPOPT's own default."""
-NOTEBOOK, DO_MPC = "IPOPT, as in a notebook", "do-mpc, default collocation"
+NOTEBOOK = "IPOPT, as in a notebook"
 
 
 @dataclass(frozen=True)
@@ -81,63 +78,63 @@ FULL = Plan(120, 60, (10, 15, 20, 30, 40, 50, 60), (2, 3, 4, 5, 6, 7, 8), 600, T
 QUICK = Plan(5, 5, (10, 20), (3,), 20, False)
 
 
-def interior_point_methods(scenario: Scenario) -> Iterator[Method]:
+def interior_point_methods(
+    scenario: Scenario, recordings: Sequence[Recording]
+) -> Iterator[SolverMethod]:
     """IPOPT in two forms, fatrop in two."""
     problem = (scenario.arm, scenario.believed_gains, scenario.parameters.nmpc)
     for name, expand in ((NOTEBOOK, False), ("IPOPT, written out", True)):
-        yield Method(name, InteriorPoint(*problem, IPOPT_TOLERANCE, expand))
-    yield Method("fatrop, exact Hessian, written out", Fatrop(*problem, gauss_newton=False))
+        yield SolverMethod(name, InteriorPoint(*problem, IPOPT_TOLERANCE, expand), recordings)
+    exact = Fatrop(*problem, gauss_newton=False)
+    yield SolverMethod("fatrop, exact Hessian, written out", exact, recordings)
     command = compiler()
     if command is not None:
         solver = Fatrop(*problem, gauss_newton=True, compiler=command)
-        yield Method("fatrop, Gauss-Newton Hessian, compiled", solver)
+        yield SolverMethod("fatrop, Gauss-Newton Hessian, compiled", solver, recordings)
 
 
-def do_mpc_rows(recordings: Sequence[Recording], steps: int) -> tuple[list[Row], str]:
-    """do-mpc's rows, measured in its own environment, and its version."""
-    with tempfile.TemporaryDirectory() as folder:
-        paths = [Path(folder) / f"{pose}.npz" for pose in POSES]
-        for path, recording in zip(paths, recordings, strict=True):
-            recording.save(path)
-        output = Path(folder) / "measured.npz"
-        command = [peers_python(), "-W", "ignore", BENCH / "peers.py", *paths]
-        arguments = ["--steps", str(steps), "--output", output]
-        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-        subprocess.run([*command, *arguments], check=True, cwd=folder, env=environment)
-        measured = dict(np.load(output))
-    expected = np.concatenate([recording.applied for recording in recordings])
-    names = {"collocation": DO_MPC, "discrete": "do-mpc, the same discrete model"}
-    rows = [
-        row_of(
-            name,
-            measured[f"{key}.seconds"],
-            measured[f"{key}.iterations"],
-            int(measured[f"{key}.failed"].sum()),
-            float(np.max(np.abs(measured[f"{key}.applied"] - expected))),
+def step_rows(
+    scenario: Scenario, recordings: Sequence[Recording], peers: bool
+) -> tuple[list[Row], dict[str, str]]:
+    """Every method in one run, and the versions of the peers."""
+    methods: list[Method] = [*own_methods(scenario, recordings)]
+    if not peers:
+        return measure(methods), {}
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        contextlib.chdir(folder),  # CasADi's just-in-time compiler leaves files where it runs
+        Peers(recordings, Path(folder)) as process,
+    ):
+        methods += interior_point_methods(scenario, recordings)
+        methods += [PeerMethod(process, name, recordings) for name in FORMULATIONS]
+        return measure(methods), {"do-mpc": process.version}
+
+
+def compiled_loops(parameters: ParameterSet, steps: int) -> pd.DataFrame:
+    """Solver and plant in one call of the compiled engine; time per control period."""
+    rows = []
+    for pose in POSES:
+        scenario = scenario_at(parameters, pose, steps)
+        engine, preview = engine_of(scenario), preview_of(scenario)
+        noise = np.array([preview.at(step).disturbance for step in range(steps)])
+        told = told_flow(scenario.parameters.preview, scenario.flow)
+        given = (scenario.initial_state, scenario.targets, scenario.flow, told, noise)
+        milliseconds = []
+        for _ in range(PASSES):
+            started = time.process_time()
+            _, _, status, iterations = engine.run(*given)
+            milliseconds.append(1e3 * (time.process_time() - started) / steps)
+        rows.append(
+            {
+                "pose": pose,
+                "steps": steps,
+                "mean_ms": float(np.median(milliseconds)),
+                "slowest_run_ms": max(milliseconds),
+                "iterations_mean": float(np.mean(iterations)),
+                "failures": int(np.count_nonzero(status)) + steps - len(status),
+            }
         )
-        for key, name in names.items()
-    ]
-    return rows, str(measured["version"])
-
-
-def peers_python() -> Path:
-    """Interpreter of the peers' environment, which is made from bench.lock where it is not."""
-    lock = BENCH / "bench.lock"
-    stamp = PEERS / f"locked-{hashlib.sha256(lock.read_bytes()).hexdigest()[:16]}"
-    python = PEERS / "bin" / "python"
-    if not stamp.is_file():
-        install = ["install", "--quiet", "--require-hashes", "-r", lock]
-        uv = shutil.which("uv")
-        if uv:
-            make = [uv, "venv", "--quiet", "--clear", "--python", sys.executable, PEERS]
-            fill = [uv, "pip", *install, "--python", python]
-        else:
-            make = [sys.executable, "-m", "venv", "--clear", PEERS]
-            fill = [python, "-m", "pip", *install]
-        for command in (make, fill):
-            subprocess.run(command, check=True)
-        stamp.touch()
-    return python
+    return pd.DataFrame(rows)
 
 
 def growth(parameters: ParameterSet, plan: Plan) -> pd.DataFrame:
@@ -147,27 +144,30 @@ def growth(parameters: ParameterSet, plan: Plan) -> pd.DataFrame:
         nmpc = replace(parameters.nmpc, horizon=horizon)
         cases.append(("horizon", horizon, replace(parameters, nmpc=nmpc)))
     cases += [("segments", n, in_segments(parameters, n)) for n in plan.segments]
-    rows = []
+    converged, one_step = [], []
+    asked = (Status.CONVERGED, Status.ITERATION_LIMIT)
     for axis, value, changed in cases:
         scenario = scenario_at(changed, "P3", plan.growth_steps)
-        recording = record(scenario)
-        row = measure(Method(axis, engine_of(scenario)), [recording])
+        recordings, name = [record(scenario)], f"{axis} {value}"
+        converged.append(SolverMethod(name, engine_of(scenario), recordings))
         short = engine_of(scenario, real_time=True, max_iterations=1)
-        asked = (Status.CONVERGED, Status.ITERATION_LIMIT)
-        one_step = measure(Method(axis, short, asked), [recording])
-        rows.append(
-            {
-                "axis": axis,
-                "value": value,
-                "median_ms": row.median_ms,
-                "percentile_95_ms": row.percentile_95_ms,
-                "one_iteration_ms": one_step.median_ms,
-                "iterations_median": row.iterations_median,
-                "iterations_largest": row.iterations_largest,
-                "failures": row.failures,
-            }
+        one_step.append(SolverMethod(f"{name}, one iteration", short, recordings, asked))
+    rows = measure([*converged, *one_step])
+    return pd.DataFrame(
+        {
+            "axis": axis,
+            "value": value,
+            "median_ms": row.median_ms,
+            "percentile_95_ms": row.percentile_95_ms,
+            "one_iteration_ms": single.median_ms,
+            "iterations_median": row.iterations_median,
+            "iterations_largest": row.iterations_largest,
+            "failures": row.failures,
+        }
+        for (axis, value, _), row, single in zip(
+            cases, rows[: len(cases)], rows[len(cases) :], strict=True
         )
-    return pd.DataFrame(rows)
+    )
 
 
 def in_segments(parameters: ParameterSet, count: int) -> ParameterSet:
@@ -196,17 +196,10 @@ def in_segments(parameters: ParameterSet, count: int) -> ParameterSet:
     )
 
 
-def exponents(grown: pd.DataFrame) -> dict[str, float]:
-    """Power of the value with which the time grows, fitted to the larger half of the values."""
-    found = {}
-    for axis, rows in grown.groupby("axis"):
-        upper = rows[rows["value"] >= rows["value"].median()]
-        if len(upper) < 2:
-            continue
-        for column in ("median_ms", "one_iteration_ms"):
-            slope = np.polyfit(np.log(upper["value"]), np.log(upper[column]), 1)[0]
-            found[f"{axis}, {column}"] = round(float(slope), 2)
-    return found
+def exponent(grown: pd.DataFrame, axis: str) -> float:
+    """Power of the value with which the median time grows: a straight line in log and log."""
+    rows = grown[grown["axis"] == axis]
+    return float(np.polyfit(np.log(rows["value"]), np.log(rows["median_ms"]), 1)[0])
 
 
 def real_time_loops(parameters: ParameterSet, steps: int) -> pd.DataFrame:
@@ -224,16 +217,15 @@ def real_time_loops(parameters: ParameterSet, steps: int) -> pd.DataFrame:
             if count is not None:
                 nmpc = replace(p.nmpc, real_time=True, max_iterations=count)
                 scenario = replace(scenario, parameters=replace(p, nmpc=nmpc))
-            loop = simulate(scenario, NmpcController(scenario))
+            loop = simulate_nmpc(scenario)
             error = root_mean_square_error(loop.error)
-            settled = root_mean_square_error(loop.error[len(loop.error) // 6 :])
             converged = converged or error
             rows.append(
                 {
-                    "run": run.name,
+                    "sea": run.name.removesuffix("-nmpc"),
                     "steps": "converged" if count is None else str(count),
                     "rmse": error,
-                    "rmse_settled": settled,
+                    "rmse_settled": root_mean_square_error(loop.error[len(loop.error) // 6 :]),
                     "change_percent": 100 * (error / converged - 1),
                     "fallbacks": int(np.count_nonzero(loop.source)),
                 }
@@ -241,58 +233,44 @@ def real_time_loops(parameters: ParameterSet, steps: int) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def ratios(rows: Iterable[Row]) -> dict[str, float]:
-    """What the issue of speed comes down to."""
+def bars(
+    rows: Sequence[Row], in_real_time: pd.DataFrame, loops: pd.DataFrame, grown: pd.DataFrame
+) -> pd.DataFrame:
+    """What was asked for beforehand, beside what was measured."""
     median = {row.method: row.median_ms for row in rows}
-    found = {}
-    for own in (COMPILED, INTERPRETED):
-        for peer in (DO_MPC, NOTEBOOK):
-            if own in median and peer in median:
-                found[f"{peer} / {own}"] = round(median[peer] / median[own], 1)
-    return found
+    found: list[tuple[str, float, str, float]] = []
+    peer = median.get(FORMULATIONS["collocation"])
+    if peer is not None and COMPILED in median:
+        found += [
+            ("do-mpc's median over ours", peer / median[COMPILED], "at least", 100),
+            ("notebook IPOPT's over ours", median[NOTEBOOK] / median[COMPILED], "at least", 250),
+        ]
+    if peer is not None:
+        share = median[INTERPRETED] / peer
+        found.append(("ours interpreted over do-mpc's median", share, "at most", 0.1))
+    if len(loops):
+        slowest = float(loops["mean_ms"].max())
+        found.append(("closed loop in C, ms a step", slowest, "at most", 0.35))
+    for axis, limit in (("horizon", 2), ("segments", 3)):
+        if len(grown) and np.count_nonzero(grown["axis"] == axis) > 1:
+            power = exponent(grown, axis)
+            found.append((f"growth with the {axis}, exponent", power, "at most", limit))
+    own = [row for row in rows if row.method in (COMPILED, INTERPRETED)]
+    deviation = max(row.deviation for row in own)
+    found.append(("deviation of the applied input, rad", deviation, "at most", 1e-5))
+    excess = max(row.cost_excess for row in own)
+    found.append(("relative difference of the cost", excess, "at most", 1e-8))
+    worst = float(in_real_time.loc[in_real_time["steps"] == "3", "change_percent"].abs().max())
+    found.append(("RMSE of three real-time steps, change in %", worst, "at most", 1.0))
+    content = pd.DataFrame(found, columns=["bar", "measured", "sense", "limit"])
+    sign = np.where(content["sense"] == "at least", 1, -1)
+    met = sign * content["measured"] >= sign * content["limit"]
+    content["verdict"] = np.where(met, "pass", "MISSED")
+    return content
 
 
-def processor() -> str:
-    """Name of the processor, where the system tells it."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor()
-    return next((line.split(":")[1].strip() for line in lines if "model name" in line), "")
-
-
-def compiler_version() -> str | None:
-    """First line of what the compiler says of itself."""
-    command = compiler()
-    if command is None:
-        return None
-    answer = subprocess.run([*command, "--version"], capture_output=True, text=True, check=True)
-    return answer.stdout.splitlines()[0]
-
-
-def peer_rows(
-    scenario: Scenario, recordings: Sequence[Recording], steps: int
-) -> tuple[list[Row], str]:
-    """IPOPT, fatrop and do-mpc, and do-mpc's version."""
-    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
-        # CasADi's just-in-time compiler leaves files where it runs.
-        rows = [measure(method, recordings) for method in interior_point_methods(scenario)]
-    others, version = do_mpc_rows(recordings, steps)
-    return rows + others, version
-
-
-def circumstances(plan: Plan, load: float) -> dict[str, Any]:
-    """Where and on what it was measured; ``load`` is the load average at the start."""
-    return {
-        "machine": {**machine(), "processor": processor(), "compiler": compiler_version()},
-        "repository": repository_state(),
-        "load_average": [round(load, 2), round(os.getloadavg()[0], 2)],
-        "problems": {"case": CASE, "height": HEIGHT, "poses": POSES, "steps": plan.steps},
-    }
-
-
-def main() -> None:
-    """Measure, print and write."""
+def main() -> int:
+    """Measure, print and write; the exit status says whether every bar is met."""
     parser = argparse.ArgumentParser(description="What a control step costs.")
     parser.add_argument("--quick", action="store_true", help="a few steps of each, no peers")
     parser.add_argument("--without-peers", action="store_true", help="install nothing")
@@ -304,38 +282,33 @@ def main() -> None:
     parameters = bench_parameters()
     scenarios = [scenario_at(parameters, pose, plan.steps) for pose in POSES]
     recordings = [record(scenario) for scenario in scenarios]
-    rows = [measure(method, recordings) for method in own_methods(scenarios[0])]
-    if compiler() is not None:
-        rows.append(compiled_loop(parameters, plan.loop_steps))
+    rows, versions = step_rows(scenarios[0], recordings, plan.peers and not given.without_peers)
     print(table(rows), flush=True)
-    summary: dict[str, Any] = {}
-    if plan.peers and not given.without_peers:
-        others, summary["do_mpc"] = peer_rows(scenarios[0], recordings, plan.steps)
-        rows += others
-        print(table(others), flush=True)
-        summary["ratios"] = ratios(rows)
-    _write(output, "bench", pd.DataFrame([vars(row) for row in rows]))
     in_real_time = real_time_loops(parameters, plan.loop_steps)
-    print("\n" + in_real_time.to_string(index=False), flush=True)
-    _write(output, "rti", in_real_time)
+    loops, grown = pd.DataFrame(), pd.DataFrame()
     if compiler() is not None:
-        grown = growth(parameters, plan)
-        print("\n" + grown.to_string(index=False), flush=True)
-        _write(output, "growth", grown)
-        summary["exponents"] = exponents(grown)
-    text = json.dumps({**circumstances(plan, load), **summary}, indent=1, sort_keys=True)
-    print("\n" + text)
-    write_atomically(output / "bench.json", (text + "\n").encode())
+        loops, grown = compiled_loops(parameters, plan.loop_steps), growth(parameters, plan)
+    asked = bars(rows, in_real_time, loops, grown)
+    tables = {
+        "steps": pd.DataFrame([vars(row) for row in rows]),
+        "real_time": in_real_time,
+        "loops": loops,
+        "growth": grown,
+        "bars": asked,
+    }
+    for stem in ("real_time", "loops", "growth", "bars"):
+        print(f"\n{tables[stem].to_string(index=False)}", flush=True)
+    _write(output, tables, {**circumstances(load), **versions})
+    return int(not given.quick and (asked["verdict"] == "MISSED").any())
 
 
-def _write(folder: Path, stem: str, content: pd.DataFrame) -> None:
-    write_atomically(folder / f"{stem}.csv", table_text(content).encode())
+def _write(folder: Path, tables: dict[str, pd.DataFrame], where: dict[str, Any]) -> None:
+    for stem, content in tables.items():
+        if len(content):
+            write_atomically(folder / f"{stem}.csv", table_text(content).encode())
+    write_atomically(folder / "machine.json", (json.dumps(where, indent=1) + "\n").encode())
 
 
 if __name__ == "__main__":
-    one_thread = {"OMP_NUM_THREADS": "1"}
-    if os.environ.items() >= one_thread.items():
-        main()
-    else:
-        again = [sys.executable, *sys.argv]
-        sys.exit(subprocess.run(again, env=os.environ | one_thread, check=False).returncode)
+    on_one_core()
+    sys.exit(main())

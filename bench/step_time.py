@@ -1,27 +1,20 @@
-"""Time of one control step on recorded problems, solver by solver.
-
-    python step_time.py [--steps N]
-
-prints it for this package's own solvers; ``run.py`` measures their peers as well.
-"""
+"""Time of a control step on recorded problems, all methods side by side."""
 
 from __future__ import annotations
 
-import argparse
 import gc
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from recording import POSES, Recording, bench_parameters, record, scenario_at
+from recording import Recording
 
 from softwave_min.control.engine import Engine
-from softwave_min.control.nmpc import GaussNewton, Solution, Solver, Status
-from softwave_min.control.preview import Preview, noise_deviation, told_flow
+from softwave_min.control.nmpc import GaussNewton, Problem, Solver, Status
 from softwave_min.native import compiler
-from softwave_min.parameters import ParameterSet
 from softwave_min.simulation import Scenario
 
 __all__ = [
@@ -30,30 +23,89 @@ __all__ = [
     "REAL_TIME_STEPS",
     "Method",
     "Row",
-    "compiled_loop",
+    "Sample",
+    "SolverMethod",
     "engine_of",
     "measure",
     "own_methods",
-    "row_of",
     "table",
 ]
 
 Floats = NDArray[np.float64]
 
 REAL_TIME_STEPS = (1, 2, 3)
+CHUNK = 12
+"""Problems that a method solves before the next one has its turn."""
 QUICK = 0.02
-"""A solver whose step takes less than this, in s, is timed more than once."""
+"""A solver that takes less than this, in s, solves each problem more than once."""
 PASSES = 5
 COMPILED, INTERPRETED = "Gauss-Newton SQP, compiled", "Gauss-Newton SQP, interpreted"
 
 
 @dataclass(frozen=True)
-class Method:
-    """A solver, and how its solves may end."""
+class Sample:
+    """One solve."""
+
+    seconds: float
+    """Of the processor, not of the clock on the wall."""
+    iterations: int
+    failed: bool
+    """Whether it did not end as it was asked to."""
+    applied: Floats
+    """(n,), the first input, in rad."""
+    cost: float
+    """NaN where the cost is another one."""
+
+
+class Method(Protocol):
+    """Anything that solves the recorded problems in their order."""
+
+    name: str
+    expected: Floats
+    """(N, n), converged input of every problem, in rad."""
+    least: Floats
+    """(N,), converged cost of every problem."""
+
+    def solve(self, indices: range) -> list[Sample]:
+        """Solve the problems of these indices."""
+
+
+@dataclass
+class SolverMethod:
+    """A solver of this package's interface."""
 
     name: str
     solver: Solver
+    recordings: Sequence[Recording]
     asked: tuple[Status, ...] = (Status.CONVERGED,)
+    """How its solves may end."""
+    expected: Floats = field(init=False)
+    least: Floats = field(init=False)
+    _problems: list[tuple[Problem, Floats]] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.expected = np.concatenate([recording.applied for recording in self.recordings])
+        self.least = np.concatenate([recording.cost for recording in self.recordings])
+        self._problems = [pair for recording in self.recordings for pair in recording]
+        self.solver.solve(*self._problems[0])
+
+    def solve(self, indices: range) -> list[Sample]:
+        """Solve these problems; of a quick solver's times the median counts."""
+        passes = [[self._sample(index) for index in indices]]
+        if np.median([sample.seconds for sample in passes[0]]) < QUICK:
+            passes += [[self._sample(index) for index in indices] for _ in range(PASSES - 1)]
+        return [
+            replace(same[0], seconds=float(np.median([sample.seconds for sample in same])))
+            for same in zip(*passes, strict=True)
+        ]
+
+    def _sample(self, index: int) -> Sample:
+        problem, guess = self._problems[index]
+        started = time.process_time()
+        solution = self.solver.solve(problem, guess)
+        seconds = time.process_time() - started
+        failed = solution.status not in self.asked
+        return Sample(seconds, solution.iterations, failed, solution.inputs[0], solution.cost)
 
 
 @dataclass(frozen=True)
@@ -70,49 +122,40 @@ class Row:
     """Solves that did not end as they were asked to."""
     deviation: float
     """Largest difference of an applied input from the converged one, in rad."""
+    cost_excess: float
+    """Largest relative difference of a cost from the converged one."""
 
 
-def row_of(
-    method: str, seconds: Floats, iterations: Floats, failures: int, deviation: float
-) -> Row:
-    """Statistics of one method."""
-    middle, most = (float(one) for one in np.percentile(1e3 * seconds, [50, 95]))
-    typical, largest = float(np.median(iterations)), int(np.max(iterations))
-    return Row(method, len(seconds), middle, most, typical, largest, failures, deviation)
+def measure(methods: Sequence[Method]) -> list[Row]:
+    """Solve every problem with every method, a few problems at a time in turn.
 
-
-def measure(method: Method, recordings: Sequence[Recording]) -> Row:
-    """Solve every recorded problem; a quick solver several times, of which the median counts."""
-    problems = [pair for recording in recordings for pair in recording]
-    method.solver.solve(*problems[0])
-    seconds, solutions = _one_pass(method.solver, problems)
-    if np.median(seconds) < QUICK:
-        again = [_one_pass(method.solver, problems)[0] for _ in range(PASSES - 1)]
-        seconds = np.median([seconds, *again], axis=0)
-    expected = np.concatenate([recording.applied for recording in recordings])
-    applied = np.array([solution.inputs[0] for solution in solutions])
-    return row_of(
-        method.name,
-        seconds,
-        np.array([solution.iterations for solution in solutions]),
-        sum(solution.status not in method.asked for solution in solutions),
-        float(np.max(np.abs(applied - expected))),
-    )
-
-
-def _one_pass(
-    solver: Solver, problems: Iterable[tuple[object, Floats]]
-) -> tuple[Floats, list[Solution]]:
-    seconds, solutions = [], []
+    What else the machine does meets all methods alike, and their ratios are fair.
+    """
+    samples: list[list[Sample]] = [[] for _ in methods]
     gc.collect()
     gc.disable()
-    for problem, guess in problems:
-        started = time.process_time()
-        solution = solver.solve(problem, guess)
-        seconds.append(time.process_time() - started)
-        solutions.append(solution)
+    for first in range(0, max(len(method.expected) for method in methods), CHUNK):
+        for method, found in zip(methods, samples, strict=True):
+            found.extend(method.solve(range(first, min(first + CHUNK, len(method.expected)))))
     gc.enable()
-    return np.array(seconds), solutions
+    return [_row(method, found) for method, found in zip(methods, samples, strict=True)]
+
+
+def _row(method: Method, samples: Sequence[Sample]) -> Row:
+    middle, most = np.percentile([1e3 * sample.seconds for sample in samples], [50, 95])
+    iterations = [sample.iterations for sample in samples]
+    applied = np.array([sample.applied for sample in samples])
+    return Row(
+        method.name,
+        len(samples),
+        float(middle),
+        float(most),
+        float(np.median(iterations)),
+        max(iterations),
+        sum(sample.failed for sample in samples),
+        float(np.max(np.abs(applied - method.expected))),
+        float(np.max(np.abs([sample.cost for sample in samples] / method.least - 1))),
+    )
 
 
 def engine_of(scenario: Scenario, **nmpc: object) -> Engine:
@@ -122,46 +165,20 @@ def engine_of(scenario: Scenario, **nmpc: object) -> Engine:
     return Engine(scenario.arm, scenario.believed_gains, scenario.gains, settings, p.simulation)
 
 
-def own_methods(scenario: Scenario) -> Iterator[Method]:
+def own_methods(scenario: Scenario, recordings: Sequence[Recording]) -> Iterator[SolverMethod]:
     """The package's own solvers: converged and real-time iteration, compiled and not."""
-
-    def interpreted(**nmpc: object) -> GaussNewton:
-        settings = replace(scenario.parameters.nmpc, **nmpc)
-        return GaussNewton(scenario.arm, scenario.believed_gains, settings)
-
-    builders = {"compiled": lambda **nmpc: engine_of(scenario, **nmpc), "interpreted": interpreted}
-    if compiler() is None:
-        del builders["compiled"]
-    for how, build in builders.items():
-        yield Method(COMPILED if how == "compiled" else INTERPRETED, build())
+    settings = scenario.parameters.nmpc
+    if compiler() is not None:
+        yield SolverMethod(COMPILED, engine_of(scenario), recordings)
         for count in REAL_TIME_STEPS:
-            yield Method(
-                f"real-time iteration, {count} step{'s' * (count > 1)}, {how}",
-                build(real_time=True, max_iterations=count),
+            yield SolverMethod(
+                f"real-time iteration, {count} step{'s' * (count > 1)}, compiled",
+                engine_of(scenario, real_time=True, max_iterations=count),
+                recordings,
                 (Status.CONVERGED, Status.ITERATION_LIMIT),
             )
-
-
-def compiled_loop(parameters: ParameterSet, steps: int) -> Row:
-    """Solver and plant in one call of the compiled engine; its runs' mean times of a step."""
-    seconds, iterations, failures = [], [], 0
-    for pose in POSES:
-        scenario = scenario_at(parameters, pose, steps)
-        p, engine = scenario.parameters, engine_of(scenario)
-        spread = noise_deviation(p.preview, scenario.held_loads)
-        preview = Preview(scenario.flow, spread, p.nmpc.horizon, p.preview)
-        noise = np.array([preview.at(step).disturbance for step in range(steps)])
-        told = told_flow(p.preview, scenario.flow)
-        first = np.concatenate([scenario.initial_angles, np.zeros(scenario.arm.segments)])
-        for _ in range(PASSES):
-            started = time.process_time()
-            run = engine.run(first, scenario.targets, scenario.flow, told, noise)
-            seconds.append((time.process_time() - started) / steps)
-        iterations.append(run[3])
-        failures += int(np.count_nonzero(run[2])) + steps - len(run[2])
-    counts = np.concatenate(iterations)
-    row = row_of("closed loop with plant, compiled", np.array(seconds), counts, failures, np.nan)
-    return replace(row, solves=len(counts))
+    readable = GaussNewton(scenario.arm, scenario.believed_gains, settings)
+    yield SolverMethod(INTERPRETED, readable, recordings)
 
 
 def table(rows: Iterable[Row]) -> str:
@@ -178,20 +195,3 @@ def table(rows: Iterable[Row]) -> str:
         for row in rows
     ]
     return "\n".join(lines)
-
-
-def main() -> None:
-    """Time this package's own solvers."""
-    parser = argparse.ArgumentParser(description="Time of a control step of each own solver.")
-    parser.add_argument("--steps", type=int, default=120, help="steps of each recorded loop")
-    steps = parser.parse_args().steps
-    scenarios = [scenario_at(bench_parameters(), pose, steps) for pose in POSES]
-    recordings = [record(scenario) for scenario in scenarios]
-    rows = [measure(method, recordings) for method in own_methods(scenarios[0])]
-    if compiler() is not None:
-        rows.append(compiled_loop(bench_parameters(), steps))
-    print(table(rows))
-
-
-if __name__ == "__main__":
-    main()

@@ -34,7 +34,8 @@ def ingredients() -> Iterator[Path]:
     yield from (ROOT / "notebooks").glob("*.ipynb")
     for pattern in RESULTS:
         yield from (ROOT / "results").glob(f"*/{pattern}")
-    yield from (path for path in (ROOT / "data").rglob("*") if path.is_file())
+    for quoted in (ROOT / "data", ROOT / "bench" / "results"):
+        yield from (path for path in quoted.rglob("*") if path.is_file())
     yield ROOT / "environment.lock"
 
 

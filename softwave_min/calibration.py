@@ -225,9 +225,10 @@ def set_text(text: str, parameters: ParameterSet, fields: Sequence[str]) -> str:
         found = getattr(getattr(parameters, section), name)
         entry = f"[{', '.join(map(repr, found))}]" if isinstance(found, tuple) else repr(found)
         line = re.compile(rf"(\[{section}\]\n(?:(?!\[)[^\n]*\n)*?{name} = )[^#\n]*")
-        text, count = line.subn(lambda match, to=entry: f"{match[1]}{to}  ", text, count=1)
-        if count == 0:
+        match = line.search(text)
+        if match is None:
             raise ParameterError(f"{field}: no such line in the set")
+        text = f"{text[: match.start()]}{match[1]}{entry}  {text[match.end() :]}"
     return text
 
 

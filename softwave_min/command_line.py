@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from softwave_min import commands
+from softwave_min.claims import ClaimError
 from softwave_min.native import CompilerError
 from softwave_min.parameters import DEFAULT_SET, SET_NAMES, ParameterError
 from softwave_min.sweep import SweepError
@@ -32,7 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (ParameterError, OSError) as error:
         print(error, file=sys.stderr)
         return USER_ERROR
-    except (SweepError, CompilerError) as error:
+    except (SweepError, CompilerError, ClaimError) as error:
         print(error, file=sys.stderr)
         return FAILED
     except KeyboardInterrupt:
@@ -65,6 +66,7 @@ def _parser() -> argparse.ArgumentParser:
         ),
         (commands.status, "say what is fresh and what is stale", (_names, _results)),
         (commands.figures, "draw every figure anew from the results", (_names, _results)),
+        (commands.claims, "judge the paper's claims by the results", (_results,)),
         (
             commands.compare,
             "compare the tables with the committed ones",

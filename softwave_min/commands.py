@@ -15,6 +15,7 @@ from tempfile import TemporaryDirectory
 
 from softwave_min.calibration import best_set_text, search_settings
 from softwave_min.calibration import calibrate as search_for_set
+from softwave_min.claims import are_fresh, evaluate, missing_tables, summary, verdicts_path, write
 from softwave_min.compare import (
     Comparison,
     committed_stems,
@@ -47,7 +48,16 @@ from softwave_min.sweep import (
 )
 from softwave_min.workers import Cluster, Processes, Workers
 
-__all__ = ["calibrate", "compare", "figures", "list_experiments", "run", "status", "verify"]
+__all__ = [
+    "calibrate",
+    "claims",
+    "compare",
+    "figures",
+    "list_experiments",
+    "run",
+    "status",
+    "verify",
+]
 
 
 SEARCH = "calibration"
@@ -164,6 +174,10 @@ def run(options: Namespace) -> int:
                 print(f"{one.name}: {news or 'up to date'}", flush=True)
         _draw_all(stale, asked, workers)
     _report_left(asked)
+    complete = not failed and not missing_tables(asked.root)
+    if complete and not are_fresh(asked.root, asked.parameters):
+        write(evaluate(asked.root, asked.parameters), asked.root)
+        print("claims: judged", flush=True)
     return 1 if failed else 0
 
 
@@ -245,7 +259,21 @@ def status(options: Namespace) -> int:
         named = " ".join(one.name for one in stale if one.on_request)
         remedy = "run 'make all'" + f", and 'run {named}' of this command" * bool(named)
         print(f"{len(stale)} of the results are stale: {remedy}", file=sys.stderr)
+    elif verdicts_path(asked.root).is_file() and not are_fresh(asked.root, asked.parameters):
+        print("claims: stale")
+        print("the verdicts are not those of the tables: run 'claims'", file=sys.stderr)
+        return 1
     return 1 if stale else 0
+
+
+def claims(options: Namespace) -> int:
+    """Judge the paper's claims by the tables that are here."""
+    asked = _asked(options)
+    table = evaluate(asked.root, asked.parameters)
+    path = write(table, asked.root)
+    print(summary(table))
+    print(path)
+    return 0
 
 
 def compare(options: Namespace) -> int:

@@ -198,6 +198,9 @@ class NmpcParameters:
     """Soft bound on every actuation torque, in N m; 0 for none, as in the paper."""
     torque_weight: NonNegative
     """Weight of the square of what exceeds it, in 1/(N m)^2."""
+    solver: Literal["gauss_newton", "interior_point", "convex"]
+    """'gauss_newton': the fast one, compiled where possible. 'interior_point': IPOPT, the
+    reference. 'convex': the same steps, each posed in cvxpy."""
     substeps: Annotated[int, Strict(), Field(ge=1, le=64)]
     """Steps of the predictor's integrator per control period."""
     max_iterations: Annotated[int, Strict(), Field(ge=1, le=1000)]

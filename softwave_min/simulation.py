@@ -196,9 +196,19 @@ def engine_or_none(scenario: Scenario) -> Engine | None:
 
 def solver_of(scenario: Scenario) -> Solver:
     """The solver that the scenario's parameters ask for, compiled where possible."""
-    parameters = scenario.parameters
-    engine = engine_or_none(scenario)
-    return engine or GaussNewton(scenario.arm, scenario.believed_gains, parameters.nmpc)
+    arguments = (scenario.arm, scenario.believed_gains, scenario.parameters.nmpc)
+    # The references are imported where asked for: they bring heavy libraries.
+    match scenario.parameters.nmpc.solver:
+        case "gauss_newton":
+            return engine_or_none(scenario) or GaussNewton(*arguments)
+        case "interior_point":
+            from softwave_min.control.interior_point import InteriorPoint  # noqa: PLC0415
+
+            return InteriorPoint(*arguments)
+        case "convex":
+            from softwave_min.control.convex import ConvexGaussNewton  # noqa: PLC0415
+
+            return ConvexGaussNewton(*arguments)
 
 
 def plant_of(scenario: Scenario) -> Plant:
@@ -345,8 +355,10 @@ def simulate_nmpc(scenario: Scenario) -> ClosedLoop:
     SimulationError
         As ``simulate``.
     """
+    parameters = scenario.parameters
+    asked = (parameters.nmpc.solver, parameters.simulation.integrator)
     engine = engine_or_none(scenario)
-    if engine and scenario.parameters.simulation.integrator == "extrapolation":
+    if engine and asked == ("gauss_newton", "extrapolation"):
         history = _compiled(scenario, engine)
         if len(history.q_bar) == scenario.steps and np.all(np.isfinite(history.states)):
             return _record(scenario, history)

@@ -3,7 +3,7 @@
 import gzip
 import math
 from dataclasses import replace
-from datetime import datetime
+from datetime import datetime, timedelta, timezone
 from itertools import pairwise
 
 import numpy as np
@@ -11,7 +11,7 @@ import pytest
 
 from softwave_min.identity import digest
 from softwave_min.parameters import ParameterError, data_folder, load_parameters
-from softwave_min.waves import Sea, buoy_record, measured_sea, named_records, read_ndbc
+from softwave_min.waves import Sea, measured_sea, named_records, read_ndbc, read_spectrum
 
 BUOYS = data_folder() / "buoys"
 ARCHIVE = BUOYS / "41010w2019part.txt.gz"
@@ -57,7 +57,7 @@ def test_real_time_file():
 
 def test_wave_height_agrees_with_the_buoys_own():
     """Station 41010 reported WVHT 1.1 m for 2020-06-08 03:40 in its summary, `41010.spec`."""
-    record = buoy_record(REAL_TIME, datetime(2020, 6, 8, 3, 50))
+    record = read_spectrum(REAL_TIME, datetime(2020, 6, 8, 3, 50))
     assert record.spectrum.significant_height == pytest.approx(1.1, abs=0.1)
 
 
@@ -80,6 +80,8 @@ def test_header_without_minutes_and_year_of_two_digits(spectral_file):
     (record,) = read_ndbc(path)
     assert record.time == datetime(1996, 1, 2, 3)
     assert record.density == (1.0, 2.0)
+    (record,) = read_ndbc(spectral_file("YY MM DD hh  .0500  .1000", "100 01 02 03  1.00  2.00"))
+    assert record.time.year == 100
 
 
 def test_plain_and_compressed_files_are_read_alike(tmp_path, spectral_file):
@@ -98,7 +100,26 @@ def test_records_with_missing_densities_are_left_out(spectral_file, missing):
     with pytest.raises(
         ParameterError, match="no complete record of 2019-02-06 00:40:00; there are 1,"
     ):
-        buoy_record(path, datetime(2019, 2, 6, 0, 40))
+        read_spectrum(path, datetime(2019, 2, 6, 0, 40))
+
+
+def test_a_row_of_units_is_skipped(spectral_file):
+    path = spectral_file(HEADER, "#yr  mo dy hr mn  m*m/Hz", GOOD)
+    assert read_ndbc(path) == read_ndbc(spectral_file(HEADER, GOOD))
+
+
+def test_a_file_of_one_record_needs_no_time(spectral_file):
+    (record,) = read_ndbc(spectral_file(HEADER, GOOD))
+    assert read_spectrum(spectral_file(HEADER, GOOD)) == record
+    for lines, count in (([HEADER], 0), ([HEADER, GOOD, GOOD], 2)):
+        with pytest.raises(ParameterError, match=f"{count} complete records: name a time"):
+            read_spectrum(spectral_file(*lines))
+
+
+def test_a_time_with_a_zone_is_understood(spectral_file):
+    path = spectral_file(HEADER, GOOD, "2019 02 06 01 40 0 2 0")
+    there = datetime(2019, 2, 6, 2, 40, tzinfo=timezone(timedelta(hours=1)))
+    assert read_spectrum(path, there).time == datetime(2019, 2, 6, 1, 40)
 
 
 def test_records_are_sorted_by_time(spectral_file):
@@ -157,13 +178,16 @@ def test_unreadable_files(tmp_path):
 @pytest.mark.parametrize(
     ("entry", "complaint"),
     [
-        ("file = 'x.txt'", "records.toml: A: time: missing"),
+        ("time = 2019-02-06T00:40:00", "records.toml: A: file: missing; must be text"),
         (
             "file = 3\ntime = 2019-02-06T00:40:00",
             "records.toml: A: file = 3: must be text",
         ),
         ("file = 'x'\ntime = 'noon'", "records.toml: A: time = 'noon'"),
         ("file = 'x'\ntime = 2019-02-06T00:40:00\nhour = 1", "records.toml: A: hour = 1: unknown"),
+        ("file = 'x'\nfile_format = 'xls'", "A: file_format = 'xls': must be 'detect' or 'ndbc'"),
+        ("file = 'x'\npeak_enhancement = 0.5", "A: peak_enhancement = 0.5: must be .* >= 1"),
+        ("file = 'x'\npeak_enhancement = 11", "A: peak_enhancement = 11: must be .* <= 10"),
         ("file = 'x'\ntime = 2019-02-06T00:40:00", "x: no such file"),
     ],
 )

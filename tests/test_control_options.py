@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
@@ -9,6 +10,7 @@ from softwave_min.control.engine import Engine
 from softwave_min.control.nmpc import GaussNewton, Problem, Solution, Status
 from softwave_min.control.preview import Forecast, Preview
 from softwave_min.experiments.paper import poses
+from softwave_min.figures.example_case import mark_failures
 from softwave_min.native import compiler
 from softwave_min.parameters import FailureParameters
 from softwave_min.simulation import (
@@ -169,6 +171,20 @@ def test_a_plan_that_fails_is_replaced_and_the_replacement_is_on_record(nominal)
     # The former plan goes on, input by input; then the planner takes over.
     np.testing.assert_array_equal(loop.q_bar[17], scenario.planned_angles[17])
     assert loop.source[20] == Source.CONTROLLER
+
+
+def test_failed_solves_are_marked_in_the_figure(nominal):
+    scenario = scenario_of(nominal, 1.0)
+    loop = simulate_nmpc(scenario)
+    status, source = loop.status.copy(), loop.source.copy()
+    status[3], source[7] = Status.ITERATION_LIMIT, Source.FORMER_PLAN
+    figure, (clean, touched) = plt.subplots(2)
+    assert mark_failures(clean, loop) == ""
+    assert not clean.lines
+    said = mark_failures(touched, replace(loop, status=status, source=source))
+    np.testing.assert_allclose(touched.lines[0].get_xdata(), [0.3, 0.7])
+    assert "2 of 10" in said
+    plt.close(figure)
 
 
 @pytest.mark.parametrize("spoiled", ["state", "sea"])

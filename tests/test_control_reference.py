@@ -13,9 +13,11 @@ from softwave_min.control.engine import Engine
 from softwave_min.control.interior_point import InteriorPoint, transition_function
 from softwave_min.control.nmpc import GaussNewton, Status
 from softwave_min.control.predictor import stage_function
+from softwave_min.experiments.closed_loop import in_sea
 from softwave_min.experiments.paper import poses
 from softwave_min.native import compiler
-from softwave_min.simulation import NmpcController, Scenario, simulate, solver_of
+from softwave_min.plant import CvodesPlant
+from softwave_min.simulation import NmpcController, Scenario, simulate, simulate_nmpc, solver_of
 from softwave_min.waves import Sea
 
 
@@ -246,3 +248,73 @@ def test_bounds_in_the_program_lead_closer_than_clipping_its_answer(nominal):
 def test_the_convex_planner_needs_damping(nominal):
     with pytest.raises(ValueError, match="damping"):
         planners(replace(nominal, baseline=replace(nominal.baseline, damping=0.0)), np.pi)
+
+
+@pytest.fixture(scope="module")
+def predicted(nominal):
+    """Plans of closed loops in 3 m waves, and where they lead the tip at 1e-11."""
+    cases = []
+    for wave, pose in (("W1", "P4"), ("W2", "P1"), ("W3", "P3")):
+        quiet = replace(nominal, preview=replace(nominal.preview, noise="none"))
+        scenario = scenario_of(in_sea(quiet, wave, 3.0), pose, duration=8.0, tolerance=1e-6)
+        tight = {"relative_tolerance": 1e-11, "absolute_tolerance": 1e-12, "largest_step": 0.1}
+        plant = CvodesPlant(
+            scenario.arm, scenario.gains, replace(nominal.simulation, **tight), scenario.period
+        )
+        solver = solver_of(scenario)
+        for problem, guess in recorded(scenario)[::10]:
+            plan, state, tips = solver.solve(problem, guess).inputs, problem.state, []
+            for q_bar, flow in zip(plan, problem.forecast.flow, strict=True):
+                state = plant.advance(state, q_bar, flow)
+                tips.append(scenario.arm.tip(state[:3]))
+            cases.append((problem, plan, np.array(tips)))
+    return cases
+
+
+def prediction_errors(nominal, predicted, substeps):
+    """Distance of the predicted tips from the tight ones, (plans, K) in m."""
+    scenario = scenario_of(nominal, duration=0.1)
+    horizon = scenario.parameters.nmpc.horizon
+    predict = transition_function(scenario.arm.structure, scenario.period, substeps)
+    fixed = [
+        np.tile(one[:, None], horizon) for one in (scenario.believed_gains, scenario.arm.values)
+    ]
+    rollout = predict.mapaccum(horizon)
+    return np.array(
+        [
+            np.linalg.norm(
+                rollout(p.state, plan.T, p.forecast.flow.T, p.forecast.disturbance.T, *fixed)[1]
+                .full()
+                .T
+                - tips,
+                axis=1,
+            )
+            for p, plan, tips in predicted
+        ]
+    )
+
+
+def test_the_predictor_is_off_by_less_than_a_millimetre_once_the_arm_is_up(nominal, predicted):
+    errors = prediction_errors(nominal, predicted, nominal.nmpc.substeps)
+    swinging = np.arange(len(errors)) % 8 < 3  # the first three of the eight plans of each loop
+    assert np.sqrt(np.mean(errors[~swinging] ** 2)) < 1e-3
+    assert np.max(errors[swinging]) < 7e-3
+
+
+def test_the_predictor_is_of_second_order(nominal, predicted):
+    coarse, fine = (
+        np.sqrt(np.mean(prediction_errors(nominal, predicted, substeps) ** 2))
+        for substeps in (1, 2)
+    )
+    assert 2.2 < coarse / fine < 8
+
+
+@pytest.mark.parametrize("name", ["interior_point", "convex"])
+def test_the_solver_is_a_setting(nominal, name):
+    fast, asked = (
+        scenario_of(nominal, "P1", duration=0.3, horizon=5, solver=solver)
+        for solver in ("gauss_newton", name)
+    )
+    ours, theirs = simulate_nmpc(fast), simulate_nmpc(asked)
+    assert (theirs.status == Status.CONVERGED).all()
+    np.testing.assert_allclose(theirs.q_bar, ours.q_bar, rtol=0, atol=1e-6)

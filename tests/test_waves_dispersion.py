@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softwave_min.waves import wave_number
+from softwave_min.waves import dispersion, wave_number
 
 
 @pytest.mark.parametrize("depth", [1e4, 200.0, 54.0, 20.0, 0.5, 1e-3])
@@ -12,6 +12,19 @@ def test_relation_holds_to_machine_precision(depth):
     number = wave_number(frequency, depth, 9.81)
     residual = 9.81 * number * np.tanh(number * depth) / frequency**2 - 1
     assert np.max(np.abs(residual)) < 2e-15
+
+
+@pytest.mark.parametrize("depth", [1e4, 20.0, 0.5])
+def test_newton_starts_from_guos_formula_and_squares_its_error(monkeypatch, depth):
+    frequency = np.logspace(-4, 2, 400)
+    exact = wave_number(frequency, depth, 9.81)
+    errors = []
+    for steps in (0, 1, 2):
+        monkeypatch.setattr(dispersion, "NEWTON_STEPS", steps)
+        errors.append(np.max(np.abs(wave_number(frequency, depth, 9.81) / exact - 1)))
+    assert errors[0] == pytest.approx(0.0075, abs=5e-5)
+    assert errors[1] < errors[0] ** 2
+    assert errors[2] < errors[1] ** 2
 
 
 def test_agrees_with_another_code():

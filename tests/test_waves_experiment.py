@@ -86,6 +86,13 @@ def test_periodogram_holds_the_variance_and_finds_a_line():
     assert isinstance(spectrum, Spectrum)
 
 
+def test_periodogram_is_refined_eightfold():
+    """From 1/T, T the length of the record, to 1/(8 T); up to half the sampling rate."""
+    spectrum = periodogram(np.sin(np.arange(600.0)), 0.1)
+    np.testing.assert_allclose(np.diff(spectrum.frequency_hz), 1 / (8 * 60.0), rtol=1e-9)
+    assert spectrum.frequency_hz[-1] == pytest.approx(5.0)
+
+
 def test_the_elevation_is_that_of_the_nominal_seed(parameters, arrays):
     run = SPECTRA.runs(parameters)[2]
     sea = Sea.random(run.parameters.sea, run.parameters.gravity)

@@ -46,6 +46,18 @@ def test_gamma_one_is_pierson_moskowitz():
     np.testing.assert_allclose(jonswap_density(frequency, 3.0, 8.0, 1.0), expected, rtol=1e-11)
 
 
+@pytest.mark.parametrize("gamma", [1.55, 3.3, 7.0])
+def test_enhancement_over_pierson_moskowitz(gamma):
+    """At the peak gamma, sigma f_p beside it gamma^exp(-1/2), two sigma f_p gamma^exp(-2)."""
+    period = 8.0
+    ratio = np.array([0.86, 0.93, 1.0, 1.09, 1.18, 3.0])
+    exponent = np.exp([-2.0, -0.5, 0.0, -0.5, -2.0, -np.inf])
+    peaked = jonswap_density(ratio / period, 3.0, period, gamma)
+    plain = jonswap_density(ratio / period, 3.0, period, 1.0)
+    enhancement = peaked / plain
+    np.testing.assert_allclose(enhancement / enhancement[-1], gamma**exponent, rtol=1e-12)
+
+
 def test_jonswap_at_the_ends_of_the_frequency_axis():
     with np.errstate(all="raise", under="ignore"):
         density = jonswap_density([0.0, 1e-300, 1e-3, 1e6], 3.0, 8.0, 3.3)
@@ -94,7 +106,13 @@ def test_peak_of_a_parabola_is_exact_on_an_uneven_grid(top, spacing):
 
 def test_peak_at_an_end_of_the_band_is_the_sample():
     assert Spectrum([0.1, 0.2, 0.3], [3.0, 2.0, 1.0]).peak_period == pytest.approx(10.0)
+    assert Spectrum([0.1, 0.2, 0.3], [1.0, 2.0, 3.0]).peak_period == pytest.approx(1 / 0.3)
     assert Spectrum([0.1, 0.2, 0.3], [0.0, 2.0, 2.0]).peak_period == pytest.approx(1 / 0.25)
+
+
+def test_peak_that_is_too_low_for_a_slope_is_the_sample():
+    """The smallest number there is, over 4 Hz, is no slope any more."""
+    assert Spectrum([4.0, 8.0, 12.0], [0.0, 5e-324, 0.0]).peak_period == 1 / 8
 
 
 def test_scaling_keeps_the_shape():
@@ -102,6 +120,13 @@ def test_scaling_keeps_the_shape():
     scaled = spectrum.scaled_to(1.5)
     assert scaled.significant_height == pytest.approx(1.5, rel=1e-12)
     assert scaled.peak_period == pytest.approx(spectrum.peak_period, rel=1e-12)
+
+
+@pytest.mark.parametrize("variance", [1.0, 0.25])
+def test_any_variance_is_scaled(variance):
+    spectrum = Spectrum([0.0, 0.5, 1.0], [0.0, 2 * variance, 0.0])
+    assert spectrum.moment(0) == variance
+    np.testing.assert_allclose(spectrum.scaled_to(2.0).density, [0, 0.5, 0], rtol=1e-15)
 
 
 def test_no_waves_no_peak_and_nothing_to_scale():
@@ -120,6 +145,9 @@ def test_no_waves_no_peak_and_nothing_to_scale():
         ([-0.1, 0.2], [1.0, 1.0], "none negative"),
         ([0.2, 0.1], [1.0, 1.0], "ascending"),
         ([0.1, np.nan], [1.0, 1.0], "ascending"),
+        ([0.1, 0.2, np.inf], [1.0, 1.0, 1.0], "finite"),
+        ([0.1, 0.1], [1.0, 1.0], "ascending"),
+        ([[0.1, 0.2]], [[1.0, 1.0]], "two vectors"),
         ([0.1, 0.2], [1.0, -1.0], "not negative"),
         ([0.1, 0.2], [1.0, np.inf], "finite"),
     ],

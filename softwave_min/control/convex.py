@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from softwave_min.arm import Arm
 from softwave_min.control.baseline import KinematicPlanner
-from softwave_min.control.nmpc import GaussNewton, Problem
+from softwave_min.control.nmpc import GaussNewton, Problem, Solution
 from softwave_min.parameters import BaselineParameters, NmpcParameters
 
-__all__ = ["ConvexPlanner", "sqp_step"]
+__all__ = ["ConvexGaussNewton", "ConvexPlanner", "sqp_step"]
 
 Floats = NDArray[np.float64]
 
@@ -40,6 +40,24 @@ def sqp_step(problem: Problem, inputs: Floats, solver: GaussNewton) -> Floats:
     quadratic program: one iteration of sequential quadratic programming.
     """
     return _linearised(solver.parameters, inputs.shape[1]).step(problem, inputs, solver)
+
+
+class ConvexGaussNewton(GaussNewton):
+    """``GaussNewton`` with every step posed and solved in cvxpy: slow, and to read."""
+
+    _posed: Problem
+
+    def solve(self, problem: Problem, guess: Floats) -> Solution:
+        """Minimise the cost from the inputs ``guess``, (K, n) in rad."""
+        self._posed = problem
+        return super().solve(problem, guess)
+
+    def step(self, inputs: Floats, residual: Floats, jacobian: Floats) -> Floats:  # noqa: ARG002
+        """Minimise the linearised sum of squares within the bounds, (K, n)."""
+        step = sqp_step(self._posed, inputs, self)
+        bound = self.parameters.angle_bound
+        kept: Floats = np.clip(inputs + step, -bound, bound) - inputs
+        return kept
 
 
 class _LinearisedProblem:

@@ -16,7 +16,8 @@ enum status { CONVERGED, ITERATION_LIMIT, NO_DECREASE, NOT_FINITE };
 #define SUFFICIENT_DECREASE 1e-4
 #define SHORTEST_STEP 0x1p-12
 #define ROUNDING 1e-13 /* of a computed cost */
-#define STEADY 0.3 /* a contraction below which the next steps may be foretold */
+#define STEADY 0.3 /* a contraction below which the next steps may be foretold ... */
+#define NEARLY 100 /* ... once a step is shorter than so many tolerances */
 #define MOST_COLUMNS 8
 
 typedef struct {
@@ -314,7 +315,8 @@ void nmpc_solve(const engine *e, const task *t, double *inputs, outcome *out) {
         out->iterations++;
         out->last_step = length;
         /* Convergence is linear: what follows this step is a geometric series. */
-        int steady = contraction < STEADY && length * contraction < (1 - contraction) * e->tolerance;
+        int steady = contraction < STEADY && length < NEARLY * e->tolerance &&
+                     length * contraction < (1 - contraction) * e->tolerance;
         int short_enough = length < e->tolerance || steady;
         if (short_enough || (e->real_time && out->iterations == e->max_iterations)) {
             /* The model of the cost is exact to third order in so short a step. */

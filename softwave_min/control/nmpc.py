@@ -34,14 +34,17 @@ SHORTEST_STEP = 2.0**-12
 ROUNDING = 1e-13
 """Relative error of a computed cost, which must not count as an increase."""
 STEADY = 0.3
-"""Contraction of the steps below which the next ones may be foretold."""
+"""Contraction of the steps below which the next ones may be foretold ..."""
+NEARLY = 100
+"""... once a step is shorter than so many tolerances."""
 
 
 class Status(IntEnum):
     """How a solve ended."""
 
     CONVERGED = 0
-    """The last step was shorter than the tolerance."""
+    """The last step, or by their contraction all that would follow it, was shorter than
+    the tolerance."""
     ITERATION_LIMIT = 1
     """The iterations ran out; the inputs are the best found."""
     NO_DECREASE = 2
@@ -172,8 +175,9 @@ class GaussNewton:
         """Whether all steps after this one are short together: a geometric series, since
         Gauss-Newton converges linearly.
         """
-        rest = size * contraction
-        return contraction < STEADY and rest < (1 - contraction) * self.parameters.tolerance
+        tolerance, rest = self.parameters.tolerance, size * contraction
+        near = contraction < STEADY and size < NEARLY * tolerance
+        return near and rest < (1 - contraction) * tolerance
 
     def residual(self, problem: Problem, inputs: Floats) -> tuple[Floats, Floats]:
         """Weighted residuals, whose sum of squares is the cost, and their Jacobian."""

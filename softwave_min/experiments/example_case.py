@@ -33,6 +33,7 @@ __all__ = [
     "CONTROLLERS",
     "EXPERIMENT",
     "SEAS",
+    "TRANSIENT",
     "closed_loop",
     "key_moments",
     "scenario_of",

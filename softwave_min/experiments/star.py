@@ -73,7 +73,9 @@ __all__ = [
     "measures",
     "period_spread",
     "runs",
+    "runs_in_seas",
     "scenario_of",
+    "star_table",
     "variants",
 ]
 
@@ -347,13 +349,8 @@ def runs(parameters: ParameterSet) -> Sequence[Run]:
     chosen = choice()
     first = next(realisations(parameters))
     paper = sorted(chosen.rmse.items(), key=lambda item: item[0] == chosen.case)
-    calm = StarRun(in_still_water(in_sea(first, chosen.case, 0.0)), chosen.path)
     return [
-        Run(STILL, follow, calm),
-        *(
-            Run(_sea_name(case, one), follow, StarRun(one, chosen.path))
-            for case, one in _seas(parameters, chosen)
-        ),
+        *runs_in_seas(parameters),
         *(
             Run(
                 f"sweep-{variant.name}",
@@ -363,6 +360,18 @@ def runs(parameters: ParameterSet) -> Sequence[Run]:
             for variant in variants(chosen)
         ),
     ]
+
+
+def runs_in_seas(parameters: ParameterSet) -> list[Run]:
+    """The nominal star in still water and in every sea in every realisation."""
+    chosen = choice()
+    first = next(realisations(parameters))
+    calm = StarRun(in_still_water(in_sea(first, chosen.case, 0.0)), chosen.path)
+    seas = [
+        Run(_sea_name(case, one), follow, StarRun(one, chosen.path))
+        for case, one in _seas(parameters, chosen)
+    ]
+    return [Run(STILL, follow, calm), *seas]
 
 
 def _seas(parameters: ParameterSet, chosen: Choice) -> Iterator[tuple[str, ParameterSet]]:
@@ -378,6 +387,26 @@ def _sea_name(case: str, parameters: ParameterSet) -> str:
 def tabulate(parameters: ParameterSet, arrays: RunArrays) -> Tables:
     """Tables ``star``, ``headline``, ``spread``, ``sweep`` and ``time_scales``."""
     chosen = choice()
+    table = star_table(parameters, arrays)
+    period = parameters.nmpc.control_period
+    swept = [
+        row for variant in variants(chosen) for row in _sweep_rows(chosen, variant, arrays, period)
+    ]
+    return {
+        "star": table,
+        "headline": headline(table),
+        "spread": period_spread(table),
+        "sweep": pd.DataFrame(swept),
+        "time_scales": _time_scales(parameters, arrays),
+    }
+
+
+def star_table(parameters: ParameterSet, arrays: RunArrays) -> pd.DataFrame:
+    """Errors on the nominal star, from the arrays of ``runs_in_seas``.
+
+    One row per sea, still water included (without a seed), and controller.
+    """
+    chosen = choice()
     rows: list[Row] = [
         _star_row(chosen, parameters, arrays, STILL, STILL, controller)
         for controller in CONTROLLERS
@@ -390,17 +419,7 @@ def tabulate(parameters: ParameterSet, arrays: RunArrays) -> Tables:
     ]
     table = pd.DataFrame(rows)
     table.insert(1, "seed", table.pop("seed").astype("Int64"))
-    period = parameters.nmpc.control_period
-    swept = [
-        row for variant in variants(chosen) for row in _sweep_rows(chosen, variant, arrays, period)
-    ]
-    return {
-        "star": table,
-        "headline": headline(table),
-        "spread": period_spread(table),
-        "sweep": pd.DataFrame(swept),
-        "time_scales": _time_scales(parameters, arrays),
-    }
+    return table
 
 
 def _star_row(

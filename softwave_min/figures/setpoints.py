@@ -86,7 +86,7 @@ def _postures(
         one.set(title=f"({letter}) {CASES[name].words}", aspect="equal", xlabel="x, m")
         one.grid(visible=False)
     x, z = arm.parameters.base_position
-    axes[0].set(ylabel="z, m", xlim=(x - 0.12, x + 0.9), ylim=(z - 0.65, z + 0.62))
+    axes[0].set(ylabel="z, m", xlim=(x - 0.12, x + 0.9), ylim=(z - 0.82, z + 0.62))
     _legend(figure)
     failed = int(table[["solves_failed", "fallbacks"]].to_numpy().sum())
     return Drawing(
@@ -210,6 +210,7 @@ def _workspaces(
         alt=(
             "Two maps of the plane about the base with outlines of workspaces. Without the second "
             f"segment the area is {shares['mid_passive']} of the intact one, without the third "
-            f"{shares['tip_passive']}; the outlines for passive and locked nearly coincide."
+            f"{shares['tip_passive']}; locked, they leave {shares['mid_locked']} and "
+            f"{shares['tip_locked']}."
         ),
     )

@@ -1,0 +1,722 @@
+"""The paper's claims, judged by the tables in ``results/``.
+
+``data/paper/claims.toml`` says of each claim where it stands in the paper, what our number is
+and how far it may be off; nothing here knows a claim by its name. A verdict is
+
+- of a number: *reproduced* if the paper's number lies in our 90 % interval over random seas, or
+  as close to ours as the tolerance says, and everything else that the paper says of it holds;
+  *trend reproduced* if only the latter;
+- of a trend: *reproduced* if all checks hold, *trend reproduced* if some only hold weakly;
+- of an artefact: *regenerated* if it is there and shows what the paper says that it shows;
+- of an explanation: *supported* or *not supported*;
+- *not reproduced* otherwise, and *not decidable* where nothing was computed that could tell.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from hashlib import sha256
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, get_args, get_type_hints
+
+import numpy as np
+import pandas as pd
+from pydantic import ConfigDict, Field, Strict, model_validator
+from pydantic.dataclasses import dataclass as validated
+
+from softwave_min.identity import source_digest
+from softwave_min.parameters import (
+    NonNegative,
+    ParameterError,
+    ParameterSet,
+    Real,
+    data_folder,
+    read_toml,
+    validate,
+)
+from softwave_min.store import Store, table_text
+
+__all__ = [
+    "FOLDER",
+    "Check",
+    "Claim",
+    "ClaimError",
+    "Kind",
+    "Query",
+    "Verdict",
+    "are_fresh",
+    "claims",
+    "evaluate",
+    "missing_tables",
+    "summary",
+    "verdicts_path",
+    "write",
+]
+
+FOLDER = "claims"
+"""Of the verdicts, below ``results/``, and the stem of their table."""
+WIDEST_SHARE = 0.15
+"""Largest tolerance of a number, as a share of the paper's; or, where that is wider, ..."""
+WIDEST_POINTS = 3.0
+"""... in percentage points."""
+PERCENT = "%"
+QUANTILES = (0.05, 0.5, 0.95)
+DIGITS = 6
+"""Significant digits of the numbers in the table of verdicts."""
+
+Kind = Literal["number", "trend", "artefact", "explanation"]
+Verdict = Literal[
+    "reproduced",
+    "trend reproduced",
+    "regenerated",
+    "supported",
+    "not reproduced",
+    "not supported",
+    "not decidable",
+]
+Entry = (
+    Annotated[bool, Strict()] | Annotated[int, Strict()] | Annotated[float, Strict()] | str
+)  # in this order: True is no 1
+Text = Annotated[str, Field(min_length=1)]
+
+_FROZEN = ConfigDict(extra="forbid")
+
+
+class ClaimError(RuntimeError):
+    """A claim asks for what the results do not have."""
+
+
+@validated(frozen=True, config=_FROZEN)
+class Query:
+    """How a number is taken from a table."""
+
+    table: str
+    """``experiment/stem``, below ``results/``."""
+    column: str
+    where: dict[str, Entry | tuple[Entry, ...]] = field(default_factory=dict)
+    """What the columns of a row must have: an entry, or one of several."""
+    divided_by: str = ""
+    """Column by which the first one is divided, row by row."""
+    by: tuple[str, ...] = ()
+    """Columns whose entries make a group of rows; each group becomes one number."""
+    within: Literal["mean", "range", "relative_range", "rank_correlation"] = "mean"
+    """How: ``relative_range`` is the range over the mean, ``rank_correlation``
+    Spearman's coefficient with the column ``against``."""
+    against: str = ""
+    aggregate: Literal[
+        "only",
+        "mean",
+        "median",
+        "smallest",
+        "largest",
+        "sum",
+        "rows",
+        "share_below",
+        "share_above",
+    ] = "only"
+    """Of these numbers; ``only``: there is just one; ``rows``: how many there are."""
+    limit: Real = 0.0
+    """For the shares."""
+    low: str = ""
+    high: str = ""
+    """Columns of the same row with the 5 % and 95 % quantiles over random seas."""
+    per: str = ""
+    """Column with the random sea: the number is then taken in each sea by itself, and the
+    median with these quantiles is what counts."""
+    minus: Query | None = None
+    """This one is subtracted from the number, ..."""
+    over: Query | None = None
+    """... which is then divided by this one."""
+
+    @model_validator(mode="after")
+    def _is_whole(self) -> Self:
+        if bool(self.against) != (self.within == "rank_correlation"):
+            raise ValueError("'against' with 'rank_correlation', and only there")
+        if bool(self.low) != bool(self.high) or (self.low and self.per):
+            raise ValueError("'low' with 'high', and not with 'per'")
+        return self
+
+    def tables(self) -> Iterator[str]:
+        """The tables that it reads."""
+        yield self.table
+        for other in (self.over, self.minus):
+            if other:
+                yield from other.tables()
+
+
+@validated(frozen=True, config=_FROZEN)
+class Check:
+    """A condition on a number, a parameter, an entry of a file, or a drawing."""
+
+    says: Text
+    """What holds if it holds."""
+    value: Query | None = None
+    parameter: str = ""
+    """Dotted name in the parameter set."""
+    entry: str = ""
+    """``paper/poses.toml:P1``: an entry of a file in ``data/``."""
+    option: str = ""
+    """``simulation.integrator``: the parameter can take the value."""
+    figure: str = ""
+    """``experiment/stem`` of a figure in ``results/``."""
+    drawing: str = ""
+    """``block_diagram``: a schematic, by the name of its module and function."""
+    test: Literal["exists", "equals", "one_of", "at_least", "at_most"] = "exists"
+    limit: Entry | tuple[Entry, ...] | None = None
+    tolerance: NonNegative = 0.0
+    """Relative, for ``equals``."""
+    weak: Real | None = None
+    """The limit with which it still holds weakly."""
+
+    @model_validator(mode="after")
+    def _is_whole(self) -> Self:
+        named = (self.parameter, self.entry, self.option, self.figure, self.drawing)
+        if sum(map(bool, named)) + (self.value is not None) != 1:
+            raise ValueError("one of value, parameter, entry, option, figure, drawing")
+        if bool(self.figure or self.drawing) != (self.test == "exists"):
+            raise ValueError("test 'exists' for figure and drawing, and only there")
+        if (self.limit is None) != (self.test == "exists"):
+            raise ValueError("a limit, unless it is tested whether something exists")
+        if self.weak is not None and self.test not in {"at_least", "at_most"}:
+            raise ValueError("a weak limit with 'at_least' and 'at_most' only")
+        return self
+
+
+@validated(frozen=True, config=_FROZEN)
+class Claim:
+    """A statement of the paper, and how it is judged."""
+
+    id: Annotated[str, Field(pattern=r"^C\d\d$")]
+    kind: Kind
+    place: Text
+    """Where in the paper."""
+    statement: Text
+    """In our words."""
+    experiment: str = ""
+    """The one that answers it; empty: parameters and drawings do."""
+    page: Text = "index"
+    """Page of the book that shows it."""
+    label: str = ""
+    """Of the figure or table there."""
+    paper: Real | None = None
+    """The paper's number."""
+    unit: str = ""
+    """Of all its numbers."""
+    value: Query | None = None
+    """Our number."""
+    test: Literal["equals", "at_most"] = "equals"
+    """'at_most': the paper's number is a bound."""
+    relative_tolerance: NonNegative = 0.0
+    """As a share of the paper's number."""
+    absolute_tolerance: NonNegative = 0.0
+    """In the claim's unit."""
+    checks: tuple[Check, ...] = ()
+    """Of a number: direction and place. Else: all that is claimed."""
+    reading: str = ""
+    """What the paper leaves open, and how it is read here."""
+    missing: str = ""
+    """What it would take to decide it."""
+
+    @model_validator(mode="after")
+    def _can_be_judged(self) -> Self:
+        judged = self.value is not None or bool(self.checks)
+        if judged == bool(self.missing):
+            raise ValueError("a value or checks, or else what is missing")
+        if self.missing:
+            return self
+        if (self.kind == "number") != (self.paper is not None and self.value is not None):
+            raise ValueError("a number of the paper and one of ours if it is a number, else not")
+        if self.tolerance > self.widest_tolerance:
+            raise ValueError(f"a tolerance of at most {self.widest_tolerance:g} {self.unit}")
+        return self
+
+    @property
+    def tolerance(self) -> float:
+        """How far our number may be off, in the claim's unit."""
+        return max(self.absolute_tolerance, self.relative_tolerance * abs(self.paper or 0.0))
+
+    @property
+    def widest_tolerance(self) -> float:
+        """More than this is no agreement, whatever the claim."""
+        points = WIDEST_POINTS if self.unit == PERCENT else 0.0
+        return max(WIDEST_SHARE * abs(self.paper or 0.0), points) * (1 + 1e-12)
+
+    def tables(self) -> set[str]:
+        """The tables that it reads."""
+        queries = [self.value, *(check.value for check in self.checks)]
+        return {table for query in queries if query for table in query.tables()}
+
+
+def claims() -> tuple[Claim, ...]:
+    """The paper's claims, in the order of their ids.
+
+    Raises
+    ------
+    ParameterError
+        If the file is not valid, or an id stands there twice.
+    """
+    path = data_folder() / "paper" / "claims.toml"
+    found = validate(dict[str, tuple[Claim, ...]], read_toml(path), source=path)["claim"]
+    twice = [name for name, count in Counter(one.id for one in found).items() if count > 1]
+    if twice:
+        raise ParameterError(f"{path}: twice: {', '.join(twice)}")
+    return tuple(sorted(found, key=lambda one: one.id))
+
+
+# --- numbers from tables ----------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """A number, and its interval over seas if there is one."""
+
+    number: float
+    low: float = math.nan
+    high: float = math.nan
+
+    @property
+    def seas(self) -> bool:
+        return not math.isnan(self.low)
+
+
+@dataclass(frozen=True)
+class _Sources:
+    """All that a verdict may rest on."""
+
+    root: Path
+    parameters: ParameterSet
+    _tables: dict[str, pd.DataFrame] = field(default_factory=dict)
+
+    def table(self, name: str) -> pd.DataFrame:
+        if name not in self._tables:
+            experiment, stem = name.split("/")
+            self._tables[name] = Store(experiment, self.root).read_table(stem)
+        return self._tables[name]
+
+    def measured(self, query: Query) -> _Measured:
+        if query.per:
+            column = self._column(self.table(query.table), query.table, query.per)
+            values = [self._number(query, {query.per: sea}) for sea in column.unique()]
+            low, middle, high = (float(one) for one in np.quantile(values, QUANTILES))
+            return _Measured(middle, low, high)
+        number = self._number(query, {})
+        if not query.low:
+            return _Measured(number)
+        ends = (
+            self._column(self._rows(query, {}), query.table, end) for end in (query.low, query.high)
+        )
+        low, high = (_only(end.to_numpy(float), query) for end in ends)
+        return _Measured(number, low, high)
+
+    def _number(self, query: Query, sea: Mapping[str, Any]) -> float:
+        rows = self._rows(query, sea)
+        number = _aggregated(query, self._grouped(query, rows))
+        if query.minus:
+            number -= self._number(query.minus, sea)
+        if query.over:
+            divisor = self._number(query.over, sea)
+            number = number / divisor if divisor else math.nan
+        return number
+
+    def _rows(self, query: Query, sea: Mapping[str, Any]) -> pd.DataFrame:
+        rows = self.table(query.table)
+        for name, wanted in {**query.where, **sea}.items():
+            several = wanted if isinstance(wanted, tuple) else (wanted,)
+            rows = rows[self._column(rows, query.table, name).isin(list(several))]
+        return rows
+
+    def _grouped(self, query: Query, rows: pd.DataFrame) -> np.ndarray[Any, Any]:
+        values = self._column(rows, query.table, query.column)
+        if query.aggregate == "rows":
+            return values.to_numpy()
+        values = values.astype(float)
+        if query.divided_by:
+            values = values / self._column(rows, query.table, query.divided_by).astype(float)
+        if not query.by:
+            return values.to_numpy()
+        table = rows[list(query.by)].assign(value=values)
+        if query.against:
+            table["against"] = self._column(rows, query.table, query.against)
+        groups = table.groupby(list(query.by), sort=False)
+        return np.array([_WITHIN[query.within](group) for _, group in groups])
+
+    def _column(self, table: pd.DataFrame, name: str, column: str) -> pd.Series:
+        if column not in table.columns:
+            raise LookupError(f"{name}.csv has no column {column!r}")
+        return table[column]
+
+
+def _relative_range(group: pd.DataFrame) -> float:
+    return float(np.ptp(group["value"]) / group["value"].mean())
+
+
+_WITHIN = {
+    "mean": lambda group: float(group["value"].mean()),
+    "range": lambda group: float(np.ptp(group["value"])),
+    "relative_range": _relative_range,
+    "rank_correlation": lambda group: float(group["value"].rank().corr(group["against"].rank())),
+}
+
+
+def _aggregated(query: Query, values: np.ndarray[Any, Any]) -> float:
+    if query.aggregate == "rows":
+        return float(len(values))
+    if query.aggregate == "only":
+        return _only(values, query)
+    if not len(values) and query.aggregate != "sum":
+        return math.nan
+    return float(_AGGREGATES[query.aggregate](values, query.limit))
+
+
+_AGGREGATES = {
+    "mean": lambda values, _: np.mean(values),
+    "median": lambda values, _: np.median(values),
+    "smallest": lambda values, _: np.min(values),
+    "largest": lambda values, _: np.max(values),
+    "sum": lambda values, _: np.sum(values),
+    "share_below": lambda values, limit: np.mean(values < limit),
+    "share_above": lambda values, limit: np.mean(values > limit),
+}
+
+
+def _only(values: np.ndarray[Any, Any], query: Query) -> float:
+    if len(values) != 1:
+        raise LookupError(f"{len(values)} rows of {query.table}.csv with {query.where}, not one")
+    return float(values[0])
+
+
+# --- verdicts ---------------------------------------------------------------------------
+
+HOLDS, WEAKLY, FAILS, UNKNOWN = 2, 1, 0, -1
+
+
+@dataclass(frozen=True)
+class _Outcome:
+    """What came of a check."""
+
+    check: Check
+    level: int
+    measured: _Measured | None = None
+    found: Any = None
+    """The parameter or entry that it looked at."""
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """A claim with all that was found."""
+
+    claim: Claim
+    outcomes: Sequence[_Outcome]
+    measured: _Measured | None
+
+    @cached_property
+    def level(self) -> int:
+        """The least of its checks: one that fails decides, whatever is unknown."""
+        levels = {one.level for one in self.outcomes}
+        return FAILS if FAILS in levels else min(levels, default=FAILS)
+
+    @cached_property
+    def distance(self) -> float:
+        """How far our number is from the paper's, on the wrong side if that is a bound."""
+        claim = self.claim
+        if self.measured is None or claim.paper is None:
+            return math.nan
+        away = self.measured.number - claim.paper
+        return max(away, 0.0) if claim.test == "at_most" else abs(away)
+
+    @property
+    def in_interval(self) -> bool:
+        """Whether the paper's number lies in our interval over seas, or bounds a part of it."""
+        claim, measured = self.claim, self.measured
+        if claim.paper is None or measured is None or not measured.seas:
+            return False
+        below = measured.low <= claim.paper
+        return below and (claim.test == "at_most" or claim.paper <= measured.high)
+
+    @property
+    def in_tolerance(self) -> bool:
+        return self.distance <= self.claim.tolerance
+
+    @property
+    def verdict(self) -> Verdict:
+        unknown = self.measured is not None and math.isnan(self.measured.number)
+        if self.claim.missing or unknown or self.level == UNKNOWN:
+            return "not decidable"
+        return _VERDICTS[self.claim.kind](self)
+
+    @property
+    def note(self) -> str:
+        """How it is read, and what decided."""
+        claim = self.claim
+        if claim.missing:
+            return _sentences(claim.reading, f"missing: {claim.missing}")
+        failing = [
+            f"does not hold: {one.check.says}" for one in self.outcomes if one.level == FAILS
+        ]
+        weak = [f"holds weakly: {one.check.says}" for one in self.outcomes if one.level == WEAKLY]
+        unknown = [f"no number for: {one.check.says}" for one in self.outcomes if one.level < FAILS]
+        return _sentences(claim.reading, *self._agreement(), *failing, *weak, *unknown)
+
+    def _agreement(self) -> Iterator[str]:
+        claim, measured = self.claim, self.measured
+        if claim.paper is None or measured is None:
+            return
+        if self.in_interval:
+            yield "the paper's number lies in the interval over seas"
+            if not self.in_tolerance or measured.high - measured.low > 2 * claim.tolerance:
+                yield f"that interval is wider than the tolerance of {_amount(claim.tolerance, claim)}"
+        if not self.in_interval or self.in_tolerance:
+            bound = "beyond the bound" if claim.test == "at_most" else "off"
+            yield f"{_amount(self.distance, claim)} {bound}, tolerance {_amount(claim.tolerance, claim)}"
+
+
+def _amount(number: float, claim: Claim) -> str:
+    unit = "points" if claim.unit == PERCENT else claim.unit
+    return f"{number:.3g} {unit}".strip()
+
+
+def _sentences(*parts: str) -> str:
+    return " ".join(f"{part[0].upper()}{part[1:].rstrip('.')}." for part in parts if part)
+
+
+def _of_number(judged: _Judged) -> Verdict:
+    stated = bool(judged.outcomes)
+    right = not stated or judged.level == HOLDS
+    if right and (judged.in_interval or judged.in_tolerance):
+        return "reproduced"
+    return "trend reproduced" if stated and right else "not reproduced"
+
+
+def _of_trend(judged: _Judged) -> Verdict:
+    if judged.level == HOLDS:
+        return "reproduced"
+    return "trend reproduced" if judged.level == WEAKLY else "not reproduced"
+
+
+_VERDICTS = {
+    "number": _of_number,
+    "trend": _of_trend,
+    "artefact": lambda one: "regenerated" if one.level == HOLDS else "not reproduced",
+    "explanation": lambda one: "supported" if one.level == HOLDS else "not supported",
+}
+
+
+def _judge(claim: Claim, sources: _Sources) -> _Judged:
+    try:
+        outcomes = [_outcome(check, sources) for check in claim.checks]
+        measured = sources.measured(claim.value) if claim.value else None
+    except LookupError as error:
+        raise ClaimError(f"{claim.id}: {error.args[0]}") from None
+    if measured is None:
+        measured = next((one.measured for one in outcomes if one.measured), None)
+    return _Judged(claim, outcomes, measured)
+
+
+def _outcome(check: Check, sources: _Sources) -> _Outcome:
+    if check.value:
+        measured = sources.measured(check.value)
+        return _Outcome(check, _level(check, measured.number), measured)
+    if check.figure or check.drawing:
+        there = _is_drawn(check.figure, sources) if check.figure else _can_be_drawn(check.drawing)
+        return _Outcome(check, HOLDS if there else FAILS)
+    if check.option:
+        options = _options(check.option)
+        return _Outcome(check, HOLDS if check.limit in options else FAILS, found=check.limit)
+    found = _parameter(check.parameter, sources) if check.parameter else _entry(check.entry)
+    return _Outcome(check, _level(check, found), found=found)
+
+
+def _level(check: Check, found: Any) -> int:
+    if isinstance(found, float) and math.isnan(found):
+        return UNKNOWN
+    if _holds(check, found, check.limit):
+        return HOLDS
+    return WEAKLY if check.weak is not None and _holds(check, found, check.weak) else FAILS
+
+
+def _holds(check: Check, found: Any, limit: Any) -> bool:
+    match check.test:
+        case "at_least":
+            return bool(found >= limit)
+        case "at_most":
+            return bool(found <= limit)
+        case "one_of":
+            return found in limit
+    if isinstance(limit, str | bool) or not np.isscalar(limit):
+        return _plain(found) == _plain(limit)
+    return math.isclose(found, limit, rel_tol=max(check.tolerance, 1e-12))
+
+
+def _plain(entry: Any) -> Any:
+    return list(entry) if isinstance(entry, tuple | list) else entry
+
+
+def _is_drawn(figure: str, sources: _Sources) -> bool:
+    experiment, stem = figure.split("/")
+    store = Store(experiment, sources.root)
+    described = stem in store.provenance().get("figures", {})
+    return described and (store.folder / f"{stem}.svg").is_file()
+
+
+def _can_be_drawn(name: str) -> bool:
+    """Whether a schematic has its function, and the code every signal that it shows."""
+    module = import_module(f"softwave_min.figures.{name}")
+    signals = getattr(module, "SIGNALS", ())
+    return callable(getattr(module, name, None)) and all(one.exists() for one in signals)
+
+
+def _parameter(name: str, sources: _Sources) -> Any:
+    found: Any = sources.parameters
+    for part in name.split("."):
+        found = getattr(found, part)
+    return found
+
+
+def _entry(place: str) -> Any:
+    file, name = place.split(":")
+    found: Any = read_toml(data_folder() / file)
+    for part in name.split("."):
+        found = found[part]
+    return found
+
+
+def _options(name: str) -> tuple[Any, ...]:
+    """Values that a parameter can take."""
+    kind: Any = ParameterSet
+    for part in name.split("."):
+        kind = get_type_hints(kind)[part]
+    return get_args(kind)
+
+
+# --- the table --------------------------------------------------------------------------
+
+
+def missing_tables(root: Path, asked: Sequence[Claim] | None = None) -> list[str]:
+    """Tables that the claims rest on and that are not in a results folder."""
+    wanted = {table for claim in asked or claims() for table in claim.tables()}
+    return sorted(name for name in wanted if not (root / f"{name}.csv").is_file())
+
+
+def evaluate(
+    root: Path, parameters: ParameterSet, asked: Sequence[Claim] | None = None
+) -> pd.DataFrame:
+    """Judge every claim.
+
+    Parameters
+    ----------
+    root : Path
+        The results: ``results/``, or the folder that stands for it.
+    parameters : ParameterSet
+        Those that the results were computed with.
+    asked : sequence of Claim, optional
+        The paper's, unless others are given.
+
+    Returns
+    -------
+    DataFrame
+        One row per claim: ``id``, ``kind``, ``paper_value``, ``our_value``, ``unit``, the
+        90 % interval over random seas from ``low`` to ``high``, ``verdict``,
+        ``experiment`` and ``note``.
+
+    Raises
+    ------
+    ClaimError
+        If a table, a row or a column that a claim needs is not there.
+    """
+    asked = claims() if asked is None else asked
+    if absent := missing_tables(root, asked):
+        raise ClaimError(f"claims: not computed: {', '.join(f'{name}.csv' for name in absent)}")
+    sources = _Sources(root, parameters)
+    return pd.DataFrame([_row(_judge(claim, sources)) for claim in asked])
+
+
+def _row(judged: _Judged) -> dict[str, Any]:
+    claim, measured = judged.claim, judged.measured
+    return {
+        "id": claim.id,
+        "kind": claim.kind,
+        "paper_value": _paper_value(judged),
+        "our_value": _shown(measured.number) if measured else _found_value(judged),
+        "unit": claim.unit,
+        "low": _rounded(measured.low) if measured else math.nan,
+        "high": _rounded(measured.high) if measured else math.nan,
+        "verdict": judged.verdict,
+        "experiment": claim.experiment,
+        "note": judged.note,
+    }
+
+
+def _paper_value(judged: _Judged) -> str:
+    claim = judged.claim
+    if claim.paper is not None:
+        return ("< " if claim.test == "at_most" else "") + _shown(claim.paper)
+    return "; ".join(_shown(one.check.limit) for one in _of_inputs(judged))
+
+
+def _found_value(judged: _Judged) -> str:
+    return "; ".join(_shown(one.found) for one in _of_inputs(judged))
+
+
+def _of_inputs(judged: _Judged) -> list[_Outcome]:
+    return [one for one in judged.outcomes if one.found is not None]
+
+
+def _shown(entry: Any) -> str:
+    if isinstance(entry, tuple | list):
+        return f"({', '.join(_shown(one) for one in entry)})"
+    if isinstance(entry, float):
+        return f"{entry:.{DIGITS}g}"
+    return str(entry)
+
+
+def _rounded(number: float) -> float:
+    return float(f"{number:.{DIGITS}g}")
+
+
+def summary(table: pd.DataFrame) -> str:
+    """How many claims have which verdict, a line for each kind."""
+    lines = []
+    for kind in get_args(Kind):
+        counts = table[table["kind"] == kind]["verdict"].value_counts()
+        found = (f"{counts[one]} {one}" for one in get_args(Verdict) if one in counts)
+        lines.append(f"{kind:12} {', '.join(found)}")
+    return "\n".join(lines)
+
+
+def write(table: pd.DataFrame, root: Path) -> Path:
+    """Write the verdicts with what they came from; the table's path."""
+    store = Store(FOLDER, root)
+    tables = sorted({name for claim in claims() for name in claim.tables()})
+    store.write_table(FOLDER, table)
+    store.write_provenance(
+        {
+            "claims": _digest(data_folder() / "paper" / "claims.toml"),
+            "source": source_digest(__name__),
+            "tables": {name: _digest(root / f"{name}.csv") for name in tables},
+        }
+    )
+    return verdicts_path(root)
+
+
+def verdicts_path(root: Path) -> Path:
+    """Table of the verdicts in a results folder."""
+    return Store(FOLDER, root).folder / f"{FOLDER}.csv"
+
+
+def _digest(path: Path) -> str:
+    return sha256(path.read_bytes()).hexdigest()
+
+
+def are_fresh(root: Path, parameters: ParameterSet) -> bool:
+    """Whether the verdicts in a results folder are those of the tables beside them."""
+    try:
+        return verdicts_path(root).read_text(encoding="utf-8") == table_text(
+            evaluate(root, parameters)
+        )
+    except (OSError, ClaimError):
+        return False
