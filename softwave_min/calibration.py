@@ -88,6 +88,8 @@ GAIN = "baseline.proportional_gain"
 NEAR = 1.0
 """A set counts as about as good as the best if its objective is larger by no more."""
 SIGNIFICANT_DIGITS = 4
+COMMENT = 38
+"""Column of the comments in a set's file."""
 CALIBRATED_HEADER = """# The calibrated parameter set, made by
 # `python -m softwave_min calibrate --write`: the physical set with those of its open values
 # that come closest to the paper's numbers."""
@@ -213,7 +215,7 @@ def _rounded(value: float) -> float:
 
 
 def set_text(text: str, parameters: ParameterSet, fields: Sequence[str]) -> str:
-    """TOML text of a set with the given fields replaced, its comments kept.
+    """TOML text of a set with the given fields replaced; they are marked, other comments stay.
 
     Raises
     ------
@@ -224,11 +226,12 @@ def set_text(text: str, parameters: ParameterSet, fields: Sequence[str]) -> str:
         section, name = (GAIN if field == GRADATION else field).split(".")
         found = getattr(getattr(parameters, section), name)
         entry = f"[{', '.join(map(repr, found))}]" if isinstance(found, tuple) else repr(found)
-        line = re.compile(rf"(\[{section}\]\n(?:(?!\[)[^\n]*\n)*?{name} = )[^#\n]*")
+        line = re.compile(rf"(\[{section}\]\n(?:(?!\[)[^\n]*\n)*?)({name} = )[^\n]*")
         match = line.search(text)
         if match is None:
             raise ParameterError(f"{field}: no such line in the set")
-        text = f"{text[: match.start()]}{match[1]}{entry}  {text[match.end() :]}"
+        written = f"{match[2]}{entry}".ljust(COMMENT) + "# open: calibrated"
+        text = f"{text[: match.start()]}{match[1]}{written}{text[match.end() :]}"
     return text
 
 
