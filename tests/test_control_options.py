@@ -21,6 +21,7 @@ from softwave_min.simulation import (
     Source,
     root_mean_square_error,
     simulate,
+    simulate_baseline,
     simulate_nmpc,
 )
 from softwave_min.waves import Sea
@@ -204,9 +205,13 @@ def test_a_number_that_is_not_finite_stops_the_run_and_names_the_time(nominal, s
 @needs_compiler
 def test_the_loop_in_c_is_the_loop_in_python(nominal):
     scenario = scenario_of(nominal, 3.0, preview={"redrawn": True})
-    stepped, compiled = simulate(scenario, NmpcController(scenario)), simulate_nmpc(scenario)
-    for name, series in vars(stepped).items():
-        np.testing.assert_array_equal(series, getattr(compiled, name), err_msg=name)
+    for build, whole in (
+        (NmpcController, simulate_nmpc),
+        (BaselineController, simulate_baseline),
+    ):
+        stepped, compiled = simulate(scenario, build(scenario)), whole(scenario)
+        for name, series in vars(stepped).items():
+            np.testing.assert_array_equal(series, getattr(compiled, name), err_msg=name)
 
 
 def test_a_failed_segment_beyond_the_arm_is_refused(nominal):

@@ -2,6 +2,7 @@ r"""The arm in water as a NumPy object: what figures, tests and notebooks call."
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -138,8 +139,10 @@ class Arm:
         times = np.full((*np.asarray(q).shape[:-1], 1), time)
         function = _load_function(self.structure)
         arguments = (q, qd, flow, times)
+        answers = self._columns(function, LOAD_TERMS, *arguments)
         return {
-            term: self._matrix(function, term, self.segments, *arguments) for term in LOAD_TERMS
+            term: _as_matrices(flat, self.segments)
+            for term, flat in zip(LOAD_TERMS, answers, strict=True)
         }
 
     def fluid_load(self, q: ArrayLike, qd: ArrayLike, flow: Floats, time: float = 0.0) -> Floats:
@@ -148,18 +151,26 @@ class Arm:
         summed: Floats = total.sum(axis=-1)
         return summed
 
-    def _column(self, function: ca.Function, output: str, *series: ArrayLike) -> Floats:
+    def _columns(
+        self, function: ca.Function, outputs: Sequence[str], *series: ArrayLike
+    ) -> list[Floats]:
         """Call a function on a single state or on a series of them."""
         rows = [np.atleast_2d(np.asarray(one, dtype=float)) for one in series]
         values = np.repeat(self.values[:, None], len(rows[0]), axis=1)
         answer = function.call([*(ca.DM(row.T) for row in rows), ca.DM(values)])
-        result: Floats = np.asarray(answer[function.index_out(output)].full()).T
-        return result if np.ndim(series[0]) > 1 else result[0]
+        results = [np.asarray(answer[function.index_out(name)].full()).T for name in outputs]
+        return results if np.ndim(series[0]) > 1 else [result[0] for result in results]
+
+    def _column(self, function: ca.Function, output: str, *series: ArrayLike) -> Floats:
+        return self._columns(function, (output,), *series)[0]
 
     def _matrix(self, function: ca.Function, output: str, rows: int, *series: ArrayLike) -> Floats:
-        flat = self._column(function, output, *series)
-        result: Floats = flat.reshape(*flat.shape[:-1], -1, rows).swapaxes(-1, -2)
-        return result
+        return _as_matrices(self._column(function, output, *series), rows)
+
+
+def _as_matrices(flat: Floats, rows: int) -> Floats:
+    """Matrices from their columns in a row: (..., rows, columns)."""
+    return flat.reshape(*flat.shape[:-1], -1, rows).swapaxes(-1, -2)
 
 
 def pack_flow(flow: NDArray[np.complex128]) -> Floats:

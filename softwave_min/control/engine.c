@@ -373,6 +373,13 @@ void plant_advance(const engine *e, const double *state, const double *q_bar, co
     }
 }
 
+/* The plant under commands that are given. */
+void plant_follow(const engine *e, int steps, const double *q_bar, const double *sea, double *states) {
+    int n = e->segments, x = 2 * n;
+    for (int s = 0; s < steps; s++)
+        plant_advance(e, states + x * s, q_bar + n * s, sea + e->flow_size * s, states + x * (s + 1));
+}
+
 /* A closed loop: solve, apply, move on. Returns the number of steps done; it ends early
  * only where a plan is not finite, which the caller's fallback has to handle. */
 int closed_loop(const engine *e, int steps, const double *targets, const double *sea,

@@ -144,6 +144,18 @@ class Engine:
         )
         return end
 
+    def follow(self, initial: Floats, q_bar: Floats, flow: Floats) -> Floats:
+        """States of the plant, (T + 1, 2 n), under the commands ``q_bar``, (T, n)."""
+        states = np.zeros((len(q_bar) + 1, 2 * self._segments))
+        states[0] = initial
+        arrays = [np.ascontiguousarray(array, dtype=float) for array in (q_bar, flow)]
+        self._library.plant_follow(
+            ctypes.byref(self._engine),
+            len(q_bar),
+            *(_pointer(array) for array in (*arrays, states)),
+        )
+        return states
+
     def run(
         self,
         initial: Floats,
@@ -186,6 +198,7 @@ def _library(functions: Sequence[ca.Function]) -> ctypes.CDLL:
     library = ctypes.CDLL(str(build("engine", sources)))
     library.nmpc_solve.restype = None
     library.plant_advance.restype = None
+    library.plant_follow.restype = None
     return library
 
 

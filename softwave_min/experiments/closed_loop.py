@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from softwave_min.experiments.paper import wave_cases
 from softwave_min.parameters import FailureParameters, ParameterSet
 from softwave_min.simulation import (
-    BaselineController,
     ClosedLoop,
     Scenario,
     engine_or_none,
     root_mean_square_error,
-    simulate,
+    simulate_baseline,
     simulate_nmpc,
 )
 from softwave_min.store import Run
@@ -106,9 +105,7 @@ def closed_loops(run: LoopRun) -> dict[str, NDArray[Any]]:
 
 def simulated(scenario: Scenario, controller: Controller) -> ClosedLoop:
     """One closed loop under a controller, by name."""
-    if controller == "nmpc":
-        return simulate_nmpc(scenario)
-    return simulate(scenario, BaselineController(scenario))
+    return simulate_nmpc(scenario) if controller == "nmpc" else simulate_baseline(scenario)
 
 
 def kept(loop: ClosedLoop) -> dict[str, NDArray[Any]]:

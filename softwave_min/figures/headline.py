@@ -32,7 +32,7 @@ FRAMES_PER_SECOND = 20
 VIEW = (-0.45, 1.15, -4.6, -3.2)
 ENCODERS: Mapping[str, tuple[str, list[str]]] = {
     # One thread and no encoder's signature: the same frames give the same file.
-    "webm": ("libvpx-vp9", ["-b:v", "0", "-crf", "40", "-cpu-used", "4"]),
+    "webm": ("libvpx-vp9", ["-b:v", "0", "-crf", "40", "-deadline", "realtime", "-cpu-used", "8"]),
     "mp4": ("libx264", ["-crf", "27", "-movflags", "+faststart"]),
 }
 REPRODUCIBLE = ["-threads", "1", "-fflags", "+bitexact", "-flags:v", "+bitexact"]
