@@ -16,17 +16,16 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from hashlib import sha256
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args, get_type_hints
 
-import numpy as np
 import pandas as pd
-from pydantic import ConfigDict, Field, Strict, model_validator
+from pydantic import ConfigDict, Field, model_validator
 from pydantic.dataclasses import dataclass as validated
 
 from softwave_min.identity import source_digest
@@ -39,6 +38,7 @@ from softwave_min.parameters import (
     read_toml,
     validate,
 )
+from softwave_min.queries import Entry, Measured, Query, Tables
 from softwave_min.store import Store, table_text
 
 __all__ = [
@@ -47,7 +47,6 @@ __all__ = [
     "Claim",
     "ClaimError",
     "Kind",
-    "Query",
     "Verdict",
     "are_fresh",
     "claims",
@@ -65,7 +64,8 @@ WIDEST_SHARE = 0.15
 WIDEST_POINTS = 3.0
 """... in percentage points."""
 PERCENT = "%"
-QUANTILES = (0.05, 0.5, 0.95)
+EQUAL = 1e-9
+"""Relative difference of numbers that are the same but for the way they were written."""
 DIGITS = 6
 """Significant digits of the numbers in the table of verdicts."""
 
@@ -79,9 +79,6 @@ Verdict = Literal[
     "not supported",
     "not decidable",
 ]
-Entry = (
-    Annotated[bool, Strict()] | Annotated[int, Strict()] | Annotated[float, Strict()] | str
-)  # in this order: True is no 1
 Text = Annotated[str, Field(min_length=1)]
 
 _FROZEN = ConfigDict(extra="forbid")
@@ -89,64 +86,6 @@ _FROZEN = ConfigDict(extra="forbid")
 
 class ClaimError(RuntimeError):
     """A claim asks for what the results do not have."""
-
-
-@validated(frozen=True, config=_FROZEN)
-class Query:
-    """How a number is taken from a table."""
-
-    table: str
-    """``experiment/stem``, below ``results/``."""
-    column: str
-    where: dict[str, Entry | tuple[Entry, ...]] = field(default_factory=dict)
-    """What the columns of a row must have: an entry, or one of several."""
-    divided_by: str = ""
-    """Column by which the first one is divided, row by row."""
-    by: tuple[str, ...] = ()
-    """Columns whose entries make a group of rows; each group becomes one number."""
-    within: Literal["mean", "range", "relative_range", "rank_correlation"] = "mean"
-    """How: ``relative_range`` is the range over the mean, ``rank_correlation``
-    Spearman's coefficient with the column ``against``."""
-    against: str = ""
-    aggregate: Literal[
-        "only",
-        "mean",
-        "median",
-        "smallest",
-        "largest",
-        "sum",
-        "rows",
-        "share_below",
-        "share_above",
-    ] = "only"
-    """Of these numbers; ``only``: there is just one; ``rows``: how many there are."""
-    limit: Real = 0.0
-    """For the shares."""
-    low: str = ""
-    high: str = ""
-    """Columns of the same row with the 5 % and 95 % quantiles over random seas."""
-    per: str = ""
-    """Column with the random sea: the number is then taken in each sea by itself, and the
-    median with these quantiles is what counts."""
-    minus: Query | None = None
-    """This one is subtracted from the number, ..."""
-    over: Query | None = None
-    """... which is then divided by this one."""
-
-    @model_validator(mode="after")
-    def _is_whole(self) -> Self:
-        if bool(self.against) != (self.within == "rank_correlation"):
-            raise ValueError("'against' with 'rank_correlation', and only there")
-        if bool(self.low) != bool(self.high) or (self.low and self.per):
-            raise ValueError("'low' with 'high', and not with 'per'")
-        return self
-
-    def tables(self) -> Iterator[str]:
-        """The tables that it reads."""
-        yield self.table
-        for other in (self.over, self.minus):
-            if other:
-                yield from other.tables()
 
 
 @validated(frozen=True, config=_FROZEN)
@@ -168,8 +107,6 @@ class Check:
     """``block_diagram``: a schematic, by the name of its module and function."""
     test: Literal["exists", "equals", "one_of", "at_least", "at_most"] = "exists"
     limit: Entry | tuple[Entry, ...] | None = None
-    tolerance: NonNegative = 0.0
-    """Relative, for ``equals``."""
     weak: Real | None = None
     """The limit with which it still holds weakly."""
 
@@ -268,131 +205,18 @@ def claims() -> tuple[Claim, ...]:
     return tuple(sorted(found, key=lambda one: one.id))
 
 
-# --- numbers from tables ----------------------------------------------------------------
+# --- verdicts ---------------------------------------------------------------------------
 
-
-@dataclass(frozen=True)
-class _Measured:
-    """A number, and its interval over seas if there is one."""
-
-    number: float
-    low: float = math.nan
-    high: float = math.nan
-
-    @property
-    def seas(self) -> bool:
-        return not math.isnan(self.low)
+HOLDS, WEAKLY, FAILS, UNKNOWN = 2, 1, 0, -1
+_SAID = {WEAKLY: "holds weakly", FAILS: "does not hold", UNKNOWN: "no number for"}
 
 
 @dataclass(frozen=True)
 class _Sources:
     """All that a verdict may rest on."""
 
-    root: Path
+    tables: Tables
     parameters: ParameterSet
-    _tables: dict[str, pd.DataFrame] = field(default_factory=dict)
-
-    def table(self, name: str) -> pd.DataFrame:
-        if name not in self._tables:
-            experiment, stem = name.split("/")
-            self._tables[name] = Store(experiment, self.root).read_table(stem)
-        return self._tables[name]
-
-    def measured(self, query: Query) -> _Measured:
-        if query.per:
-            column = self._column(self.table(query.table), query.table, query.per)
-            values = [self._number(query, {query.per: sea}) for sea in column.unique()]
-            low, middle, high = (float(one) for one in np.quantile(values, QUANTILES))
-            return _Measured(middle, low, high)
-        number = self._number(query, {})
-        if not query.low:
-            return _Measured(number)
-        ends = (
-            self._column(self._rows(query, {}), query.table, end) for end in (query.low, query.high)
-        )
-        low, high = (_only(end.to_numpy(float), query) for end in ends)
-        return _Measured(number, low, high)
-
-    def _number(self, query: Query, sea: Mapping[str, Any]) -> float:
-        rows = self._rows(query, sea)
-        number = _aggregated(query, self._grouped(query, rows))
-        if query.minus:
-            number -= self._number(query.minus, sea)
-        if query.over:
-            divisor = self._number(query.over, sea)
-            number = number / divisor if divisor else math.nan
-        return number
-
-    def _rows(self, query: Query, sea: Mapping[str, Any]) -> pd.DataFrame:
-        rows = self.table(query.table)
-        for name, wanted in {**query.where, **sea}.items():
-            several = wanted if isinstance(wanted, tuple) else (wanted,)
-            rows = rows[self._column(rows, query.table, name).isin(list(several))]
-        return rows
-
-    def _grouped(self, query: Query, rows: pd.DataFrame) -> np.ndarray[Any, Any]:
-        values = self._column(rows, query.table, query.column)
-        if query.aggregate == "rows":
-            return values.to_numpy()
-        values = values.astype(float)
-        if query.divided_by:
-            values = values / self._column(rows, query.table, query.divided_by).astype(float)
-        if not query.by:
-            return values.to_numpy()
-        table = rows[list(query.by)].assign(value=values)
-        if query.against:
-            table["against"] = self._column(rows, query.table, query.against)
-        groups = table.groupby(list(query.by), sort=False)
-        return np.array([_WITHIN[query.within](group) for _, group in groups])
-
-    def _column(self, table: pd.DataFrame, name: str, column: str) -> pd.Series:
-        if column not in table.columns:
-            raise LookupError(f"{name}.csv has no column {column!r}")
-        return table[column]
-
-
-def _relative_range(group: pd.DataFrame) -> float:
-    return float(np.ptp(group["value"]) / group["value"].mean())
-
-
-_WITHIN = {
-    "mean": lambda group: float(group["value"].mean()),
-    "range": lambda group: float(np.ptp(group["value"])),
-    "relative_range": _relative_range,
-    "rank_correlation": lambda group: float(group["value"].rank().corr(group["against"].rank())),
-}
-
-
-def _aggregated(query: Query, values: np.ndarray[Any, Any]) -> float:
-    if query.aggregate == "rows":
-        return float(len(values))
-    if query.aggregate == "only":
-        return _only(values, query)
-    if not len(values) and query.aggregate != "sum":
-        return math.nan
-    return float(_AGGREGATES[query.aggregate](values, query.limit))
-
-
-_AGGREGATES = {
-    "mean": lambda values, _: np.mean(values),
-    "median": lambda values, _: np.median(values),
-    "smallest": lambda values, _: np.min(values),
-    "largest": lambda values, _: np.max(values),
-    "sum": lambda values, _: np.sum(values),
-    "share_below": lambda values, limit: np.mean(values < limit),
-    "share_above": lambda values, limit: np.mean(values > limit),
-}
-
-
-def _only(values: np.ndarray[Any, Any], query: Query) -> float:
-    if len(values) != 1:
-        raise LookupError(f"{len(values)} rows of {query.table}.csv with {query.where}, not one")
-    return float(values[0])
-
-
-# --- verdicts ---------------------------------------------------------------------------
-
-HOLDS, WEAKLY, FAILS, UNKNOWN = 2, 1, 0, -1
 
 
 @dataclass(frozen=True)
@@ -401,9 +225,15 @@ class _Outcome:
 
     check: Check
     level: int
-    measured: _Measured | None = None
+    measured: Measured | None = None
     found: Any = None
     """The parameter or entry that it looked at."""
+
+    @property
+    def tells(self) -> bool:
+        """Whether its number tells a reader something: a count of rows does only if it is due."""
+        query = self.check.value
+        return query is not None and (query.aggregate != "rows" or self.check.test == "equals")
 
 
 @dataclass(frozen=True)
@@ -412,7 +242,7 @@ class _Judged:
 
     claim: Claim
     outcomes: Sequence[_Outcome]
-    measured: _Measured | None
+    measured: Measured | None
 
     @cached_property
     def level(self) -> int:
@@ -433,7 +263,7 @@ class _Judged:
     def in_interval(self) -> bool:
         """Whether the paper's number lies in our interval over seas, or bounds a part of it."""
         claim, measured = self.claim, self.measured
-        if claim.paper is None or measured is None or not measured.seas:
+        if claim.paper is None or measured is None or not measured.has_interval:
             return False
         below = measured.low <= claim.paper
         return below and (claim.test == "at_most" or claim.paper <= measured.high)
@@ -444,7 +274,7 @@ class _Judged:
 
     @property
     def verdict(self) -> Verdict:
-        unknown = self.measured is not None and math.isnan(self.measured.number)
+        unknown = self.claim.kind == "number" and math.isnan(self.distance)
         if self.claim.missing or unknown or self.level == UNKNOWN:
             return "not decidable"
         return _VERDICTS[self.claim.kind](self)
@@ -455,24 +285,31 @@ class _Judged:
         claim = self.claim
         if claim.missing:
             return _sentences(claim.reading, f"missing: {claim.missing}")
-        failing = [
-            f"does not hold: {one.check.says}" for one in self.outcomes if one.level == FAILS
-        ]
-        weak = [f"holds weakly: {one.check.says}" for one in self.outcomes if one.level == WEAKLY]
-        unknown = [f"no number for: {one.check.says}" for one in self.outcomes if one.level < FAILS]
-        return _sentences(claim.reading, *self._agreement(), *failing, *weak, *unknown)
+        said = (
+            f"{_SAID[one.level]}: {one.check.says}" for one in self.outcomes if one.level != HOLDS
+        )
+        return _sentences(claim.reading, *self._agreement(), *said)
 
     def _agreement(self) -> Iterator[str]:
         claim, measured = self.claim, self.measured
         if claim.paper is None or measured is None:
             return
-        if self.in_interval:
+        tolerance = _amount(claim.tolerance, claim)
+        if claim.test == "at_most":
+            yield (
+                "the bound is kept"
+                if self.in_tolerance
+                else (
+                    f"{_amount(self.distance, claim)} beyond the bound"
+                    + ", which lies in the interval over seas" * self.in_interval
+                )
+            )
+        elif self.in_interval:
             yield "the paper's number lies in the interval over seas"
-            if not self.in_tolerance or measured.high - measured.low > 2 * claim.tolerance:
-                yield f"that interval is wider than the tolerance of {_amount(claim.tolerance, claim)}"
-        if not self.in_interval or self.in_tolerance:
-            bound = "beyond the bound" if claim.test == "at_most" else "off"
-            yield f"{_amount(self.distance, claim)} {bound}, tolerance {_amount(claim.tolerance, claim)}"
+            if measured.high - measured.low > 2 * claim.tolerance:
+                yield f"that interval is wider than the tolerance of {tolerance} either way"
+        else:
+            yield f"{_amount(self.distance, claim)} off; the tolerance is {tolerance}"
 
 
 def _amount(number: float, claim: Claim) -> str:
@@ -498,7 +335,7 @@ def _of_trend(judged: _Judged) -> Verdict:
     return "trend reproduced" if judged.level == WEAKLY else "not reproduced"
 
 
-_VERDICTS = {
+_VERDICTS: Mapping[str, Callable[[_Judged], Verdict]] = {
     "number": _of_number,
     "trend": _of_trend,
     "artefact": lambda one: "regenerated" if one.level == HOLDS else "not reproduced",
@@ -509,17 +346,17 @@ _VERDICTS = {
 def _judge(claim: Claim, sources: _Sources) -> _Judged:
     try:
         outcomes = [_outcome(check, sources) for check in claim.checks]
-        measured = sources.measured(claim.value) if claim.value else None
+        measured = sources.tables.measured(claim.value) if claim.value else None
     except LookupError as error:
         raise ClaimError(f"{claim.id}: {error.args[0]}") from None
     if measured is None:
-        measured = next((one.measured for one in outcomes if one.measured), None)
+        measured = next((one.measured for one in outcomes if one.tells), None)
     return _Judged(claim, outcomes, measured)
 
 
 def _outcome(check: Check, sources: _Sources) -> _Outcome:
     if check.value:
-        measured = sources.measured(check.value)
+        measured = sources.tables.measured(check.value)
         return _Outcome(check, _level(check, measured.number), measured)
     if check.figure or check.drawing:
         there = _is_drawn(check.figure, sources) if check.figure else _can_be_drawn(check.drawing)
@@ -547,9 +384,9 @@ def _holds(check: Check, found: Any, limit: Any) -> bool:
             return bool(found <= limit)
         case "one_of":
             return found in limit
-    if isinstance(limit, str | bool) or not np.isscalar(limit):
-        return _plain(found) == _plain(limit)
-    return math.isclose(found, limit, rel_tol=max(check.tolerance, 1e-12))
+    if isinstance(limit, int | float) and not isinstance(limit, bool):
+        return math.isclose(found, limit, rel_tol=EQUAL)
+    return bool(_plain(found) == _plain(limit))
 
 
 def _plain(entry: Any) -> Any:
@@ -558,7 +395,7 @@ def _plain(entry: Any) -> Any:
 
 def _is_drawn(figure: str, sources: _Sources) -> bool:
     experiment, stem = figure.split("/")
-    store = Store(experiment, sources.root)
+    store = Store(experiment, sources.tables.root)
     described = stem in store.provenance().get("figures", {})
     return described and (store.folder / f"{stem}.svg").is_file()
 
@@ -631,7 +468,7 @@ def evaluate(
     asked = claims() if asked is None else asked
     if absent := missing_tables(root, asked):
         raise ClaimError(f"claims: not computed: {', '.join(f'{name}.csv' for name in absent)}")
-    sources = _Sources(root, parameters)
+    sources = _Sources(Tables(root), parameters)
     return pd.DataFrame([_row(_judge(claim, sources)) for claim in asked])
 
 
@@ -641,7 +478,7 @@ def _row(judged: _Judged) -> dict[str, Any]:
         "id": claim.id,
         "kind": claim.kind,
         "paper_value": _paper_value(judged),
-        "our_value": _shown(measured.number) if measured else _found_value(judged),
+        "our_value": _our_value(judged),
         "unit": claim.unit,
         "low": _rounded(measured.low) if measured else math.nan,
         "high": _rounded(measured.high) if measured else math.nan,
@@ -655,15 +492,23 @@ def _paper_value(judged: _Judged) -> str:
     claim = judged.claim
     if claim.paper is not None:
         return ("< " if claim.test == "at_most" else "") + _shown(claim.paper)
-    return "; ".join(_shown(one.check.limit) for one in _of_inputs(judged))
+    return "; ".join(_shown(one.check.limit) for one in _compared(judged))
 
 
-def _found_value(judged: _Judged) -> str:
-    return "; ".join(_shown(one.found) for one in _of_inputs(judged))
+def _our_value(judged: _Judged) -> str:
+    compared = [one for one in _compared(judged) if one.measured is None]
+    if judged.measured and not compared:
+        return _shown(judged.measured.number)
+    return "; ".join(_shown(one.found) for one in compared)
 
 
-def _of_inputs(judged: _Judged) -> list[_Outcome]:
-    return [one for one in judged.outcomes if one.found is not None]
+def _compared(judged: _Judged) -> list[_Outcome]:
+    """Checks of inputs, or else the first, if it asks for equality: they have the paper's value."""
+    inputs = [one for one in judged.outcomes if one.found is not None]
+    if inputs or judged.claim.value:
+        return inputs
+    numbers = [one for one in judged.outcomes if one.tells]
+    return [one for one in numbers[:1] if one.check.test == "equals"]
 
 
 def _shown(entry: Any) -> str:
@@ -715,8 +560,7 @@ def _digest(path: Path) -> str:
 def are_fresh(root: Path, parameters: ParameterSet) -> bool:
     """Whether the verdicts in a results folder are those of the tables beside them."""
     try:
-        return verdicts_path(root).read_text(encoding="utf-8") == table_text(
-            evaluate(root, parameters)
-        )
+        written = verdicts_path(root).read_text(encoding="utf-8")
+        return written == table_text(evaluate(root, parameters))
     except (OSError, ClaimError):
         return False

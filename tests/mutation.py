@@ -1,10 +1,13 @@
 """Mutation run: change the model in one place at a time and see whether a test notices.
 
 Flips signs, drops factors, swaps sine and cosine, inverts comparisons and adds one to whole
-numbers in ``arm`` and ``waves``; the tests of the room must then fail. A mutant that no test
-kills must be explained in ``mutation_survivors.md``, by its name.
+numbers in ``arm`` and ``waves``; the tests of the room must then fail. A mutant meets the
+tests with few random examples first, those ahead that killed its neighbours; the survivors
+of all these meet all random examples. One that no test kills must be explained in
+``mutation_survivors.md``, by its name. The scores are kept there as well.
 
-The run resumes where it was interrupted, and starts anew when source or tests have changed.
+The run resumes where it was interrupted, and starts a room anew when its source or its tests
+have changed.
 """
 
 from __future__ import annotations
@@ -12,25 +15,42 @@ from __future__ import annotations
 import argparse
 import ast
 import copy
+import gc
 import hashlib
 import importlib
 import json
 import os
+import re
+import resource
 import shutil
 import signal
 import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).resolve().parent.parent
-LOG = ROOT / ".build" / "mutation.jsonl"
+LOGS = ROOT / ".build" / "mutation"
 EXPLAINED = ROOT / "tests" / "mutation_survivors.md"
-ROOMS = {"arm": ("test_arm_*.py",), "waves": ("test_waves_*.py", "test_buoy.py")}
-"""Rooms of the package and the tests that answer for them."""
+
+
+@dataclass(frozen=True)
+class Room:
+    """A part of the package and what answers for it, as patterns of names in ``tests``."""
+
+    tests: tuple[str, ...]
+    helpers: tuple[str, ...] = ()
+
+
+ROOMS = {
+    "arm": Room(("test_arm_*.py",), ("arm_*.py",)),
+    "waves": Room(("test_waves_*.py", "test_buoy.py")),
+}
 COPIED = ("softwave_min", "tests", "data", "pyproject.toml", "environment.lock")
 PRELOADED = (
     "casadi",
@@ -38,9 +58,13 @@ PRELOADED = (
     "matplotlib.pyplot",
     "pandas",
     "pydantic",
-    "pytest",
     "scipy.optimize",
 )
+
+QUICK, THOROUGH = "mutation", "reproducible"
+"""Profiles of Hypothesis in ``conftest.py``: few examples, and all."""
+UNDECIDED = ("", "suspect")
+"""Outcomes before the tests with few and before those with all examples."""
 
 SWAPPED_OPERATORS: dict[type[ast.AST], type[ast.AST]] = {
     ast.Add: ast.Sub,
@@ -72,12 +96,8 @@ class Mutant:
     line: int
     name: str
     """Module, function, what was there and what is there now."""
+    original: str
     source: str
-
-    @property
-    def room(self) -> str:
-        """Part of the package."""
-        return self.module.split("/")[0]
 
 
 def replacements(node: ast.AST) -> Iterator[ast.AST]:
@@ -188,25 +208,61 @@ def mutants(module: Path) -> Iterator[Mutant]:
         names[name] += 1
         repeated = f" ({names[name]})" if names[name] > 1 else ""
         changed = ast.fix_missing_locations(_Swap(old, copy.deepcopy(new)).visit(tree))
-        yield Mutant(place, old.lineno, name + repeated, ast.unparse(changed))
+        yield Mutant(place, old.lineno, name + repeated, text, ast.unparse(changed))
         index += 1
 
 
-def tests_of(mutant: Mutant) -> list[Path]:
-    """Tests that answer for a mutant, those of its module's name first."""
-    stem = Path(mutant.module).stem
-    return sorted(tests_of_room(mutant.room), key=lambda path: stem not in path.name)
+class Order:
+    """Plug-in of pytest: the likeliest killers first, and which test it was."""
+
+    def __init__(self, likely: dict[str, float], report: Path, profile: str) -> None:
+        self._likely, self._report, self.profile = likely, report, profile
+        self._seen: dict[str, float] = {}
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        """Sort; with all examples, only the tests that draw any."""
+        if self.profile == THOROUGH:
+            items[:] = [i for i in items if hasattr(getattr(i, "obj", None), "hypothesis")]
+        items.sort(key=lambda item: -self._likely.get(item.nodeid, 0.0))
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Note the time that each test takes, and the one that fails."""
+        self._seen[report.nodeid] = self._seen.get(report.nodeid, 0.0) + report.duration
+        if report.failed:
+            self._write(report.nodeid)
+            os._exit(1)  # pytest would take longer to end than most mutants to die
+
+    def pytest_sessionfinish(self, exitstatus: int) -> None:
+        """Report the times if all passed."""
+        if exitstatus == 0:
+            self._write("")
+
+    def _write(self, killer: str) -> None:
+        self._report.write_text(json.dumps({"by": killer, "seconds": self._seen}))
 
 
-def tests_of_room(room: str) -> list[Path]:
-    """Tests that answer for a room, by name."""
-    return sorted(path for pattern in ROOMS[room] for path in (ROOT / "tests").glob(pattern))
+@dataclass(frozen=True)
+class Ended:
+    """How a run of tests ended."""
+
+    mutant: Mutant | None
+    outcome: str
+    """survived, killed or timeout; suspect in the log if it survived the quick tests alone."""
+    by: str
+    """The test that failed."""
+    seconds: dict[str, float]
+    """Time of each test."""
+    processor: float
+    """Processor time of the whole, in s."""
 
 
 class Workshop:
     """Copies of the project, in each of which one mutant at a time is tested."""
 
-    def __init__(self, folder: Path, copies: int) -> None:
+    def __init__(self, folder: Path, copies: int, room: str) -> None:
+        self._room, self._limit = ROOMS[room], 1200.0
+        self._seconds: dict[str, float] = {}
         self._free = []
         for number in range(copies):
             place = folder / str(number)
@@ -219,38 +275,45 @@ class Workshop:
                 else:
                     shutil.copy(original, place / name)
             self._free.append(place)
-        self._running: dict[int, tuple[Path, Mutant | None, float]] = {}
+        self._running: dict[int, tuple[Path, Mutant | None]] = {}
 
-    def start(self, mutant: Mutant | None, tests: list[Path], limit: float) -> None:
-        """Run tests on a mutant, or on the source as it is."""
+    def start(self, mutant: Mutant | None, log: Log, profile: str) -> None:
+        """Run the tests on a mutant, or on the source as it is."""
         place = self._free.pop()
+        likely = {}
         if mutant is not None:
             (place / "softwave_min" / mutant.module).write_text(mutant.source, encoding="utf-8")
+            likely = log.likely(mutant, self._seconds)
         # The parent has the libraries in memory; a child begins with them.
         child = os.fork()
         if child == 0:
             sys.dont_write_bytecode = mutant is not None
-            _test(place, tests, limit)
-        self._running[child] = place, mutant, time.monotonic()
+            tests = [str(path) for path in matching(place / "tests", self._room.tests)]
+            _test(place, tests, Order(likely, place / "ended.json", profile), self._limit)
+        self._running[child] = place, mutant
 
-    def finish(self) -> tuple[Mutant | None, str, float]:
-        """Wait for a run to end: its mutant, what became of it, and the time it took, in s."""
-        child, status = os.wait()
-        place, mutant, started = self._running.pop(child)
+    def finish(self) -> Ended:
+        """Wait for a run to end."""
+        child, status, usage = os.wait4(-1, 0)
+        place, mutant = self._running.pop(child)
         if mutant is not None:
-            module = Path("softwave_min") / mutant.module
-            shutil.copy(ROOT / module, place / module)
+            (place / "softwave_min" / mutant.module).write_text(mutant.original, encoding="utf-8")
         self._free.append(place)
-        return mutant, _outcome(status), time.monotonic() - started
+        report, found = place / "ended.json", {"by": "", "seconds": {}}
+        if report.is_file():
+            found = json.loads(report.read_text())
+            report.unlink()
+        spent = usage.ru_utime + usage.ru_stime
+        return Ended(mutant, _outcome(status), found["by"], found["seconds"], spent)
 
-    def unmutated(self, room: str) -> float:
-        """Run the tests of a room in every copy; the time to grant them, in s."""
-        while self._free:
-            self.start(None, tests_of_room(room), limit=1200)
-        runs = [self.finish() for _ in range(len(self._running))]
-        if any(outcome != "survived" for _, outcome, _ in runs):
-            raise SystemExit(f"mutation: the tests of {room} fail without any mutation")
-        return 30 + 5 * max(seconds for *_, seconds in runs)
+    def unmutated(self, log: Log) -> None:
+        """Run the tests once without a mutation: they must pass; what they take is the measure."""
+        self.start(None, log, QUICK)
+        run = self.finish()
+        if run.outcome != "survived":
+            raise SystemExit(f"mutation: without any mutation fails {run.by or 'all'}")
+        self._seconds = run.seconds
+        self._limit = 60 + 5 * run.processor
 
     @property
     def busy(self) -> int:
@@ -263,7 +326,7 @@ class Workshop:
         return len(self._free)
 
 
-def _test(place: Path, tests: list[Path], limit: float) -> None:
+def _test(place: Path, tests: list[str], order: Order, limit: float) -> None:
     """Become a test run; the process ends with it."""
     os.nice(10)
     os.chdir(place)
@@ -271,21 +334,19 @@ def _test(place: Path, tests: list[Path], limit: float) -> None:
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
     os.dup2(nowhere, 2)
-    # The default action ends the process, whatever library it is in.
-    signal.alarm(int(limit))
-    import pytest
-
-    files = [str(place / path.relative_to(ROOT)) for path in tests]
+    # Processor time, not a clock's: the machine may have other work. The signal's default
+    # action ends the process, whatever library it is in.
+    resource.setrlimit(resource.RLIMIT_CPU, (int(limit), int(limit) + 5))
     # Without the other plugins, which take longer to load than many a mutant to die.
     os.environ["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"
     options = ["-x", "--tb=no", "-W", "ignore", "-p", "_hypothesis_pytestplugin"]
-    options.append("--hypothesis-profile=mutation")
-    os._exit(pytest.main([*options, *files]))
+    options += ["-p", "no:cacheprovider", f"--hypothesis-profile={order.profile}"]
+    os._exit(pytest.main([*options, *tests], plugins=[order]))
 
 
 def _outcome(status: int) -> str:
     if os.WIFSIGNALED(status):
-        return "timeout" if os.WTERMSIG(status) == signal.SIGALRM else "killed"
+        return "timeout" if os.WTERMSIG(status) == signal.SIGXCPU else "killed"
     match os.WEXITSTATUS(status):
         case 0:
             return "survived"
@@ -295,33 +356,67 @@ def _outcome(status: int) -> str:
             raise SystemExit(f"mutation: pytest ended with status {code}")
 
 
+def matching(folder: Path, patterns: Iterable[str]) -> list[Path]:
+    """Files of a folder by patterns of their names."""
+    return sorted(path for pattern in patterns for path in folder.glob(pattern))
+
+
+def digest(paths: Iterable[Path]) -> str:
+    """Hash of some files."""
+    total = hashlib.sha256()
+    for path in paths:
+        total.update(path.read_bytes())
+    return total.hexdigest()[:12]
+
+
 class Log:
-    """What became of each mutant, kept as long as source and tests stay as they are."""
+    """What became of each mutant of a room, and by which test.
 
-    def __init__(self, inputs: str, *, keep: bool) -> None:
-        self.outcomes: dict[str, str] = {}
-        lines = LOG.read_text(encoding="utf-8").splitlines() if LOG.is_file() else []
-        if lines and (keep or lines[0] == inputs):
-            entries = [json.loads(line) for line in lines[1:]]
-            self.outcomes = {entry["mutant"]: entry["outcome"] for entry in entries}
-        LOG.parent.mkdir(parents=True, exist_ok=True)
-        kept = [json.dumps({"mutant": m, "outcome": o}) for m, o in self.outcomes.items()]
-        LOG.write_text("\n".join([inputs, *kept, ""]), encoding="utf-8")
+    Kept as long as the room's source and tests stay as they are. With ``trusting``, new
+    tests leave what was killed as dead.
+    """
 
-    def add(self, mutant: Mutant, outcome: str) -> None:
+    def __init__(self, room: str, *, trusting: bool) -> None:
+        source = digest(sorted((ROOT / "softwave_min" / room).rglob("*.py")))
+        used = matching(ROOT / "tests", [*ROOMS[room].tests, *ROOMS[room].helpers, "conftest.py"])
+        self.inputs = {"source": source, "tests": digest(used)}
+        self.entries: dict[str, dict[str, str]] = {}
+        self._path = LOGS / f"{room}.jsonl"
+        lines = self._path.read_text(encoding="utf-8").splitlines() if self._path.is_file() else []
+        if lines:
+            before, *entries = [json.loads(line) for line in lines]
+            if before["source"] == source and (trusting or before == self.inputs):
+                self.entries = {entry["mutant"]: entry for entry in entries}
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        kept = [json.dumps(entry) for entry in (self.inputs, *self.entries.values())]
+        self._path.write_text("\n".join([*kept, ""]), encoding="utf-8")
+
+    def outcome(self, mutant: Mutant) -> str:
+        """What became of a mutant; nothing if it was not tested yet."""
+        return self.entries.get(mutant.name, {"outcome": ""})["outcome"]
+
+    def doubt(self) -> None:
+        """Forget the survivors, that they be tested again."""
+        doubtful = ("survived", "suspect")
+        self.entries = {
+            name: entry for name, entry in self.entries.items() if entry["outcome"] not in doubtful
+        }
+
+    def add(self, run: Ended, outcome: str) -> None:
         """Record an outcome at once."""
-        self.outcomes[mutant.name] = outcome
-        with LOG.open("a", encoding="utf-8") as stream:
-            stream.write(json.dumps({"mutant": mutant.name, "outcome": outcome}) + "\n")
+        entry = {"mutant": run.mutant.name, "outcome": outcome, "by": run.by}
+        self.entries[run.mutant.name] = entry
+        with self._path.open("a", encoding="utf-8") as stream:
+            stream.write(json.dumps(entry) + "\n")
 
-
-def inputs_digest() -> str:
-    """Hash of the source that is changed and of the tests."""
-    digest = hashlib.sha256()
-    for folder in (*(f"softwave_min/{room}" for room in ROOMS), "tests"):
-        for path in sorted((ROOT / folder).rglob("*.py")):
-            digest.update(path.read_bytes())
-    return digest.hexdigest()
+    def likely(self, mutant: Mutant, seconds: dict[str, float]) -> dict[str, float]:
+        """How soon each test may be expected to kill a mutant: by its kills nearby and its time."""
+        kills: Counter[str] = Counter()
+        function, module = mutant.name.split(":")[0], mutant.module + " "
+        for entry in self.entries.values():
+            name = entry["mutant"]
+            kills[entry["by"]] += 1 + 9 * name.startswith(module) + 90 * name.startswith(function)
+        return {test: (1 + kills[test]) / (0.1 + spent) for test, spent in seconds.items()}
 
 
 def explained() -> set[str]:
@@ -331,75 +426,120 @@ def explained() -> set[str]:
 
 
 def main() -> int:
-    """Run what the log does not have, print the score and the survivors."""
+    """Run what the logs do not have, print the scores and the survivors."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--room", choices=ROOMS, help="this room alone")
     parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1))
     parser.add_argument("--only", default="", help="mutants whose name has this in it")
     parser.add_argument("--list", action="store_true", help="print the mutants and stop")
     parser.add_argument(
-        "--survivors", action="store_true", help="test again those that survived, trust the rest"
+        "--survivors",
+        action="store_true",
+        help="test again those that survived; what older tests killed stays dead",
     )
     arguments = parser.parse_args()
-    modules = [path for room in ROOMS for path in (ROOT / "softwave_min" / room).glob("*.py")]
-    every = [mutant for module in sorted(modules) for mutant in mutants(module)]
-    chosen = [mutant for mutant in every if arguments.only in mutant.name]
-    if arguments.list:
-        print("\n".join(mutant.name for mutant in chosen))
-        return 0
-    log = Log(inputs_digest(), keep=arguments.survivors)
-    known = {name for name, outcome in log.outcomes.items() if outcome != "survived"}
-    if not arguments.survivors:
-        known = set(log.outcomes)
-    run([mutant for mutant in chosen if mutant.name not in known], log, arguments.jobs)
-    return report(chosen, log)
+    surprising = 0
+    for room in [arguments.room] if arguments.room else ROOMS:
+        modules = sorted((ROOT / "softwave_min" / room).glob("*.py"))
+        every = [mutant for module in modules for mutant in mutants(module)]
+        chosen = [mutant for mutant in every if arguments.only in mutant.name]
+        if arguments.list:
+            print("\n".join(mutant.name for mutant in chosen))
+            continue
+        log = Log(room, trusting=arguments.survivors)
+        if arguments.survivors:
+            log.doubt()
+        run(chosen, log, room, arguments.jobs)
+        surprising += report(chosen, log, room)
+        if chosen == every:
+            record(every, log, room)
+    return 1 if surprising else 0
 
 
-def run(todo: list[Mutant], log: Log, jobs: int) -> None:
-    """Test the mutants, several at a time."""
+def run(chosen: list[Mutant], log: Log, room: str, jobs: int) -> None:
+    """Test the mutants that the log does not know, several at a time."""
+    if all(log.outcome(mutant) not in UNDECIDED for mutant in chosen):
+        return
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
     for name in PRELOADED:
         importlib.import_module(name)
+    gc.freeze()
     with tempfile.TemporaryDirectory(prefix="mutation-") as folder:
-        workshop = Workshop(Path(folder), jobs)
-        limits = {room: workshop.unmutated(room) for room in sorted({m.room for m in todo})}
-        started = time.monotonic()
-        for number, mutant in enumerate(todo, start=1):
-            if not workshop.free:
-                finish(workshop, log)
-            workshop.start(mutant, tests_of(mutant), limits[mutant.room])
-            if number % 20 == 0:
-                minutes = (time.monotonic() - started) / 60
-                print(f"{number} of {len(todo)} in {minutes:.0f} min", flush=True)
-        while workshop.busy:
-            finish(workshop, log)
+        workshop = Workshop(Path(folder), jobs, room)
+        workshop.unmutated(log)
+        for profile, outcome in zip((QUICK, THOROUGH), UNDECIDED, strict=True):
+            todo = [mutant for mutant in chosen if log.outcome(mutant) == outcome]
+            print(f"{room}: {len(todo)} mutants, {profile} examples", flush=True)
+            stage(workshop, todo, log, profile)
 
 
-def finish(workshop: Workshop, log: Log) -> None:
+def stage(workshop: Workshop, todo: list[Mutant], log: Log, profile: str) -> None:
+    """Let all of them meet the tests with few or all examples."""
+    started = time.monotonic()
+    for number, mutant in enumerate(todo, start=1):
+        if not workshop.free:
+            finish(workshop, log, profile)
+        workshop.start(mutant, log, profile)
+        if number % 20 == 0:
+            minutes = (time.monotonic() - started) / 60
+            print(f"{number} of {len(todo)} in {minutes:.0f} min", flush=True)
+    while workshop.busy:
+        finish(workshop, log, profile)
+
+
+def finish(workshop: Workshop, log: Log, profile: str) -> None:
     """Wait for one run and record it."""
-    mutant, outcome, _ = workshop.finish()
-    log.add(mutant, outcome)
-    if outcome == "survived":
-        print(f"survived: line {mutant.line}, {mutant.name}", flush=True)
+    ended = workshop.finish()
+    suspect = ended.outcome == "survived" and profile == QUICK
+    log.add(ended, "suspect" if suspect else ended.outcome)
+    if ended.outcome == "survived":
+        print(f"survived {profile}: line {ended.mutant.line}, {ended.mutant.name}", flush=True)
 
 
-def report(chosen: list[Mutant], log: Log) -> int:
-    """Print the score; 1 if a survivor is not explained, or an explained one is gone."""
-    outcomes = [(mutant, log.outcomes[mutant.name]) for mutant in chosen]
-    survivors = [mutant for mutant, outcome in outcomes if outcome == "survived"]
-    reasons = explained()
-    surprising = [mutant for mutant in survivors if mutant.name not in reasons]
-    for room in ROOMS:
-        of_room = [outcome for mutant, outcome in outcomes if mutant.room == room]
-        killed = len(of_room) - of_room.count("survived")
-        print(f"{room}: {killed} of {len(of_room)} killed")
-    equivalent = len(survivors) - len(surprising)
+def report(chosen: list[Mutant], log: Log, room: str) -> int:
+    """Print the score and the survivors without an explanation; their number."""
+    score = Score.of(chosen, log)
+    print(f"{room}: {score.killed + score.timeouts} of {score.mutants} killed")
     print(
-        f"score: {len(chosen) - len(survivors)} of {len(chosen)} killed,"
-        f" {equivalent} survivors explained, {len(surprising)} not"
+        f"  {score.timeouts} of them by the time limit;"
+        f" {score.explained} survivors explained, {len(score.surprising)} not"
     )
-    for mutant in surprising:
+    for mutant in score.surprising:
         print(f"not explained: line {mutant.line}, `{mutant.name}`")
-    return 1 if surprising else 0
+    return len(score.surprising)
+
+
+@dataclass(frozen=True)
+class Score:
+    """What became of some mutants."""
+
+    mutants: int
+    killed: int
+    """By a test that failed."""
+    timeouts: int
+    explained: int
+    surprising: list[Mutant]
+    """Survivors without an explanation."""
+
+    @classmethod
+    def of(cls, chosen: list[Mutant], log: Log) -> Score:
+        """Count."""
+        outcomes = Counter(log.outcome(mutant) for mutant in chosen)
+        reasons = explained()
+        survivors = [mutant for mutant in chosen if log.outcome(mutant) == "survived"]
+        surprising = [mutant for mutant in survivors if mutant.name not in reasons]
+        known = len(survivors) - len(surprising)
+        return cls(len(chosen), outcomes["killed"], outcomes["timeout"], known, surprising)
+
+
+def record(every: list[Mutant], log: Log, room: str) -> None:
+    """Put the score of a whole room into its row of the table in `mutation_survivors.md`."""
+    score = Score.of(every, log)
+    cells = [score.mutants, score.killed, score.timeouts, score.explained, len(score.surprising)]
+    row = " | ".join([f"| {room}", *map(str, cells), f"`{log.inputs['source']}` |"])
+    text = EXPLAINED.read_text(encoding="utf-8")
+    pattern = rf"^\| {room} \|.*$"
+    EXPLAINED.write_text(re.sub(pattern, row, text, flags=re.MULTILINE), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -254,6 +254,19 @@ def test_a_locked_angle_stays_and_the_others_feel_it_as_a_constraint(case, data)
     assert np.max(np.abs(reaction * (1 - locked))) < 1e-9 * (1 + np.max(np.abs(reaction)))
 
 
+@pytest.mark.parametrize("morison", MODES)
+def test_an_arm_without_locks_is_one_with_none_locked(morison):
+    """They are written separately: the plain equation of motion, and the one with constraints."""
+    arm = Arm(UNEQUAL, water(morison))
+    q, qd, force = (ca.SX.sym(name, 3) for name in ("q", "qd", "force"))
+    terms = mechanics(arm.structure, q, qd, Values.unpacked(ca.SX(arm.values), 3))
+    free = ca.Function("free", [q, qd, force], [terms.acceleration(force)])
+    state = [0.9, -1.7, 0.4], [-0.8, 2.5, 4.0], [1.0, -2.0, 0.5]
+    expected = acceleration_function(arm.structure)(*state, arm.values, 0).full()
+    assert np.all(np.abs(expected) > 1)
+    np.testing.assert_allclose(free(*state).full(), expected, rtol=1e-12)
+
+
 def test_solve_symmetric():
     matrix = ca.SX.sym("matrix", 4, 4)
     right = ca.SX.sym("right", 4, 2)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 from arm_by_hand import displaced_mass, generalised_loads, power
@@ -9,7 +10,7 @@ from arm_cases import MODES, UNEQUAL, cases, numbers, uniform, water
 from hypothesis import given
 from hypothesis import strategies as st
 
-from softwave_min.arm import LOAD_TERMS, Arm, Structure, pack_flow
+from softwave_min.arm import LOAD_TERMS, Arm, Structure, Values, mechanics, pack_flow
 from softwave_min.waves import Sea
 
 
@@ -194,6 +195,47 @@ def polynomial_flow(structure: Structure, rng: np.random.Generator):
     return pack_flow(coefficients), at
 
 
+def test_orders_of_the_flow_are_the_least_that_will_do(nominal):
+    """Error bound over the arm's reach and a control period, relative to the rms of the flow
+    at its lowest point: below 1e-6 for velocity and acceleration in the steepest of the
+    paper's seas, W1, and not with an order less in space or in time.
+    """
+    sea = Sea.random(replace(nominal.sea, peak_period=6.1), nominal.fluid.gravity)
+    (x, z), reach = nominal.arm.base_position, sum(nominal.arm.length)
+    times = np.arange(0, nominal.simulation.duration, 0.5)
+
+    def bound(space_order, time_order):
+        worst = 0.0
+        for in_time, field in enumerate((sea.velocity, sea.acceleration)):
+            level = np.sqrt(np.mean(np.sum(np.square(field(x, z - reach, times)), axis=0)))
+            orders = {"space_order": space_order, "time_order": time_order}
+            half = nominal.nmpc.control_period / 2
+            error = sea.taylor_error_bound((x, z), reach, half, **orders, time_derivative=in_time)
+            worst = max(worst, error / level)
+        return worst
+
+    space, time = Structure.space_order, Structure.time_order
+    assert bound(space, time) < 1e-6
+    assert bound(space - 1, time) > 1e-6
+    assert bound(space, time - 1) > 1e-6
+
+
+@pytest.mark.parametrize("morison", MODES)
+def test_plant_and_figures_have_the_same_load(morison):
+    """The sum that enters the equation of motion, and that of the terms by segment."""
+    arm = Arm(UNEQUAL, water(morison))
+    structure = arm.structure
+    symbols = [ca.SX.sym(*one) for one in (("q", 3), ("qd", 3), ("flow", structure.flow_size))]
+    values = Values.unpacked(ca.SX(arm.values), 3)
+    terms = mechanics(structure, *symbols[:2], values)
+    load = ca.Function("load", symbols, [terms.fluid_load(symbols[2], 0.03)])
+    flow, _ = polynomial_flow(structure, np.random.default_rng(12))
+    state = np.array([[0.9, -1.7, 0.4], [-0.8, 2.5, 4.0]])
+    expected = arm.fluid_load(*state, flow, 0.03)
+    assert np.all(np.abs(expected) > 0.05)
+    np.testing.assert_allclose(load(*state, flow).full()[:, 0], expected, rtol=1e-12)
+
+
 @given(case=cases(), seed=st.integers(0, 1000), time=numbers(-0.05, 0.05))
 def test_loads_are_the_virtual_work_of_morisons_forces(case, seed, time):
     """Every term, from every segment, on every bend; and all of them as power."""
@@ -271,6 +313,17 @@ def test_loads_do_not_jump_where_a_segment_is_straight(morison):
         at = [arm.fluid_load(angles, qd, flow) for angles in (q - aside, q, q + aside)]
         np.testing.assert_allclose(at[0], at[1], rtol=0, atol=1e-10)
         np.testing.assert_allclose(at[2], at[1], rtol=0, atol=1e-10)
+
+
+def test_a_series_of_flows_is_packed_row_by_row():
+    rng = np.random.default_rng(6)
+    flows = rng.normal(size=(5, 9, 6, 2)) @ [1, 1j]
+    packed = pack_flow(flows)
+    assert packed.shape == (5, Structure(3, 4, False, "paper").flow_size)
+    for row, flow in zip(packed, flows, strict=True):
+        np.testing.assert_array_equal(row, pack_flow(flow))
+        real, imaginary = row.reshape(2, 9, 6)
+        np.testing.assert_array_equal(real + 1j * imaginary, flow)
 
 
 def test_a_series_of_states_gives_a_series_of_loads():

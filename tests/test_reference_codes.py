@@ -1,4 +1,4 @@
-"""Live comparison with codes that we did not write; `pip install -r tests/codes.lock`.
+"""Live comparison with codes that we did not write, where they are installed.
 
 The same numbers, frozen, are in the tests of the arm and the waves. Here the codes run, at
 states and in seas that nobody chose.
@@ -14,7 +14,7 @@ from softwave_min.arm import Arm
 from softwave_min.parameters import data_folder
 from softwave_min.waves import Sea, Spectrum, jonswap_density, read_ndbc
 
-WHY = "optional: pip install --require-hashes -r tests/codes.lock"
+WHY = "optional: CONTRIBUTING.md says how to install the codes"
 GRAVITY = 9.81
 
 
