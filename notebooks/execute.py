@@ -48,6 +48,8 @@ METADATA = {
     "language_info": {"file_extension": ".py", "name": "python", "pygments_lexer": "ipython3"},
 }
 """The same on every machine and for every version of Python."""
+SEARCH = "calibration"
+"""Folder of results that is not an experiment's."""
 CELL_METADATA = ("mystnb", "tags")
 """What an author says of a cell; the rest is what an editor left behind."""
 
@@ -115,7 +117,7 @@ def state(path: Path) -> str:
     cells = [cell for cell in cells if cell["cell_type"] == "code"]
     code = "\n".join(plain_python("".join(cell["source"])) for cell in cells)
     named = words(code)
-    experiments = [name for name in NAMES if name in named]
+    experiments = [name for name in (*NAMES, SEARCH) if name in named]
     sources = source_files([*imported_modules(code), *experiment_modules(experiments)])
     for source in sources:
         # The parameters' own module names every field, and uses none.
@@ -157,7 +159,7 @@ def data(named: set[str]) -> Iterator[tuple[str, Any]]:
     folder = parameters.data_folder()
     for path in sorted(path for path in folder.rglob("*") if path.is_file()):
         place = path.relative_to(folder)
-        if place.parts[0] == "parameters":
+        if place.parts[0] == "parameters" and path.stem in parameters.SET_NAMES:
             sections = tomllib.loads(path.read_text(encoding="utf-8"))
             for section in named & sections.keys():
                 fields = sections[section]

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import csv
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -70,34 +71,26 @@ class ClaimsDirective(SphinxDirective):
         except (OSError, LookupError, ValueError) as error:
             logger.warning("claims: %s", error, location=self.get_location())
             return []
-        head = nodes.row("", *(_entry(nodes.Text(heading)) for heading in HEADINGS))
-        group = nodes.tgroup(
-            "",
-            *(nodes.colspec(colwidth=1) for _ in HEADINGS),
-            nodes.thead("", head),
-            nodes.tbody("", *rows),
-            cols=len(HEADINGS),
-        )
-        return [nodes.table("", group, classes=["claims"])]
+        return [table(HEADINGS, rows)]
 
     def _row(self, row: dict[str, str], claim: dict[str, Any]) -> nodes.row:
         place = f"{claim['place'][0].upper()}{claim['place'][1:]}."
         verdict = row["verdict"]
         return nodes.row(
             "",
-            _entry(nodes.Text(row["id"]), _aside(row["kind"])),
-            _entry(nodes.Text(claim["statement"]), _aside(f"{place} {row['note']}")),
-            _entry(nodes.Text(_with_unit(row, "paper_value"))),
-            _entry(nodes.Text(_with_unit(row, "our_value")), _aside(interval(row))),
-            _entry(nodes.inline("", verdict, classes=[f"verdict-{verdict.replace(' ', '-')}"])),
-            _entry(*self._links(claim)),
+            entry(nodes.Text(row["id"]), aside(row["kind"])),
+            entry(nodes.Text(claim["statement"]), aside(f"{place} {row['note']}")),
+            entry(nodes.Text(_with_unit(row, "paper_value"))),
+            entry(nodes.Text(_with_unit(row, "our_value")), aside(interval(row))),
+            entry(nodes.inline("", verdict, classes=[f"verdict-{verdict.replace(' ', '-')}"])),
+            entry(*self._links(claim)),
             ids=[row["id"].lower()],
         )
 
     def _links(self, claim: dict[str, Any]) -> list[Node]:
-        links: list[Node] = [_reference(self.env.docname, "doc", f"/{claim['page']}")]
+        links: list[Node] = [reference(self.env.docname, "doc", f"/{claim['page']}")]
         if claim.get("label"):
-            links.append(_reference(self.env.docname, "numref", claim["label"]))
+            links.append(reference(self.env.docname, "numref", claim["label"]))
         return links
 
 
@@ -105,15 +98,34 @@ def _with_unit(row: dict[str, str], column: str) -> str:
     return f"{rounded(row[column])} {row['unit']}".rstrip() if row[column] else ""
 
 
-def _aside(text: str) -> Node:
+def table(headings: Sequence[str], rows: Sequence[nodes.row], *classes: str) -> nodes.table:
+    """A table that ``claims.js`` lets a reader sort and filter.
+
+    Its first column has an id and, aside, a kind; its fifth what can be chosen beside the kind.
+    """
+    head = nodes.row("", *(entry(nodes.Text(heading)) for heading in headings))
+    group = nodes.tgroup(
+        "",
+        *(nodes.colspec(colwidth=1) for _ in headings),
+        nodes.thead("", head),
+        nodes.tbody("", *rows),
+        cols=len(headings),
+    )
+    return nodes.table("", group, classes=["claims", *classes])
+
+
+def aside(text: str) -> Node:
+    """A note in smaller letters."""
     return nodes.inline("", text, classes=["claim-note"])
 
 
-def _entry(*contents: Node) -> nodes.entry:
+def entry(*contents: Node) -> nodes.entry:
+    """A cell, with a paragraph for each of its contents."""
     return nodes.entry("", *(nodes.paragraph("", "", content) for content in contents))
 
 
-def _reference(page: str, kind: str, target: str) -> Node:
+def reference(page: str, kind: str, target: str) -> Node:
+    """A link from a page to a page ('doc'), a numbered thing ('numref') or a section ('ref')."""
     return addnodes.pending_xref(
         "",
         nodes.inline(),

@@ -1,4 +1,5 @@
-// Lets a reader sort and filter the table of claims. Without it the table is whole.
+// Lets a reader sort and filter the table of claims, and that of the open points. Without it the
+// tables are whole.
 document.addEventListener("DOMContentLoaded", () => {
   const table = document.querySelector("table.claims");
   if (!table) {
@@ -9,14 +10,16 @@ document.addEventListener("DOMContentLoaded", () => {
   const first = (row, column) => row.cells[column].querySelector("p")?.textContent.trim() ?? "";
   const kind = (row) => row.cells[0].querySelector(".claim-note").textContent.trim();
   const verdict = (row) => first(row, 4);
+  const headings = [...table.tHead.rows[0].cells];
+  const called = headings.map((heading) => heading.textContent.trim().toLowerCase());
 
   // filters
   const bar = document.createElement("div");
   bar.className = "claims-filter";
   const search = document.createElement("input");
   search.type = "search";
-  search.placeholder = "Search the claims";
-  search.setAttribute("aria-label", "Search the claims");
+  search.placeholder = `Search the ${called[0]}s`;
+  search.setAttribute("aria-label", search.placeholder);
   const shown = document.createElement("output");
   const choice = (label, of) => {
     const select = document.createElement("select");
@@ -26,7 +29,7 @@ document.addEventListener("DOMContentLoaded", () => {
     return select;
   };
   const kinds = choice("Every kind", kind);
-  const verdicts = choice("Every verdict", verdict);
+  const verdicts = choice(`Every ${called[4]}`, verdict);
   const filter = () => {
     const words = search.value.toLowerCase().split(/\s+/).filter(Boolean);
     for (const row of rows) {
@@ -52,7 +55,6 @@ document.addEventListener("DOMContentLoaded", () => {
     }
     return x - y;
   };
-  const headings = [...table.tHead.rows[0].cells];
   headings.forEach((heading, column) => {
     const button = document.createElement("button");
     button.type = "button";
