@@ -13,7 +13,7 @@ from itertools import groupby
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from softwave_min.calibration import best_set_text, search_settings
+from softwave_min.calibration import best_of, best_set_text, search_settings
 from softwave_min.calibration import calibrate as search_for_set
 from softwave_min.claims import are_fresh, evaluate, missing_tables, summary, verdicts_path, write
 from softwave_min.compare import (
@@ -298,7 +298,7 @@ def calibrate(options: Namespace) -> int:
     with _workers(options) as workers:
         _announce(options)
         table = search_for_set(store, workers, search_settings())
-    best = table.iloc[int(table["objective"].to_numpy().argmin())]
+    best = best_of(table)
     print(f"{len(table)} sets judged; objective {table['objective'][0]:.2f} at the start, ", end="")
     print(f"{best['objective']:.2f} at the best")
     if options.write:

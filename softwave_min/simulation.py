@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property
 from typing import Protocol
@@ -14,7 +14,7 @@ from softwave_min.arm import Arm, pack_flow
 from softwave_min.control.baseline import InnerLoop, KinematicPlanner
 from softwave_min.control.engine import Engine
 from softwave_min.control.nmpc import GaussNewton, Problem, Solution, Solver, Status
-from softwave_min.control.preview import Preview, noise_deviation, told_flow
+from softwave_min.control.preview import Preview, noise_deviation
 from softwave_min.native import compiler
 from softwave_min.parameters import ParameterSet
 from softwave_min.plant import CvodesPlant, ExtrapolatedPlant, Plant, RungeKuttaPlant
@@ -29,6 +29,7 @@ __all__ = [
     "Scenario",
     "SimulationError",
     "Source",
+    "compile_engine",
     "engine_or_none",
     "plant_of",
     "preview_of",
@@ -195,6 +196,14 @@ def engine_or_none(scenario: Scenario) -> Engine | None:
     )
 
 
+def compile_engine(parameters: ParameterSet) -> None:
+    """Compile what closed loops under the parameters need; nothing without a compiler."""
+    still = Sea.still(parameters.sea.depth, parameters.fluid.gravity)
+    brief = replace(parameters.simulation, duration=parameters.nmpc.control_period)
+    target = parameters.arm.base_position
+    engine_or_none(Scenario.build(replace(parameters, simulation=brief), still, target))
+
+
 def solver_of(scenario: Scenario) -> Solver:
     """The solver that the scenario's parameters ask for, compiled where possible."""
     arguments = (scenario.arm, scenario.believed_gains, scenario.parameters.nmpc)
@@ -251,7 +260,6 @@ class NmpcController:
     """
 
     def __init__(self, scenario: Scenario, solver: Solver | None = None) -> None:
-        self._scenario = scenario
         self._solver = solver or solver_of(scenario)
         self._horizon = scenario.parameters.nmpc.horizon
         self._preview = preview_of(scenario)
@@ -341,8 +349,7 @@ def simulate(scenario: Scenario, controller: Controller) -> ClosedLoop:
     if not np.all(np.isfinite(scenario.flow)):
         when = scenario.period * int(np.argmin(np.isfinite(scenario.flow).all(axis=1)))
         raise SimulationError(f"the sea is not finite from t = {when:.1f} s")
-    history = _stepped(scenario, controller)
-    return _record(scenario, history)
+    return _record(scenario, _stepped(scenario, controller))
 
 
 def simulate_baseline(scenario: Scenario) -> ClosedLoop:
@@ -353,8 +360,8 @@ def simulate_baseline(scenario: Scenario) -> ClosedLoop:
     SimulationError
         As ``simulate``.
     """
-    engine = engine_or_none(scenario)
-    if engine and scenario.parameters.simulation.integrator == "extrapolation":
+    fast = scenario.parameters.simulation.integrator == "extrapolation"
+    if fast and (engine := engine_or_none(scenario)):
         q_bar = scenario.planned_angles[: scenario.steps]
         states = engine.follow(scenario.initial_state, q_bar, scenario.flow)
         if np.all(np.isfinite(states)):
@@ -376,8 +383,8 @@ def simulate_nmpc(scenario: Scenario) -> ClosedLoop:
     """
     parameters = scenario.parameters
     asked = (parameters.nmpc.solver, parameters.simulation.integrator)
-    engine = engine_or_none(scenario)
-    if engine and asked == ("gauss_newton", "extrapolation"):
+    fast = asked == ("gauss_newton", "extrapolation")
+    if fast and (engine := engine_or_none(scenario)):
         history = _compiled(scenario, engine)
         if len(history.q_bar) == scenario.steps and np.all(np.isfinite(history.states)):
             return _record(scenario, history)
@@ -386,10 +393,12 @@ def simulate_nmpc(scenario: Scenario) -> ClosedLoop:
 
 def _compiled(scenario: Scenario, engine: Engine) -> _History:
     preview = preview_of(scenario)
-    disturbance = np.array([preview.at(step).disturbance for step in range(scenario.steps)])
-    told = told_flow(scenario.parameters.preview, scenario.flow)
     states, q_bar, status, iterations = engine.run(
-        scenario.initial_state, scenario.targets, scenario.flow, told, disturbance
+        scenario.initial_state,
+        scenario.targets,
+        scenario.flow,
+        preview.flow,
+        preview.disturbances(scenario.steps),
     )
     source = np.full(len(q_bar), int(Source.CONTROLLER))
     return _History(states, q_bar, status.astype(int), iterations.astype(int), source)

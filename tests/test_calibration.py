@@ -9,19 +9,16 @@ import pytest
 
 from softwave_min import calibration
 from softwave_min.calibration import (
-    GRADATION,
-    Candidate,
+    best_of,
     calibrate,
-    evaluate,
     flatness,
     objective,
-    open_values,
     search_settings,
     set_text,
-    value_in,
-    with_values,
 )
+from softwave_min.experiments.headlines import HeadlineRun, headline_cells, headline_numbers
 from softwave_min.native import compiler
+from softwave_min.open_values import GRADATION, open_values, value_in, with_values
 from softwave_min.parameters import (
     ParameterError,
     ParameterSet,
@@ -90,31 +87,31 @@ def test_the_objective_counts_deviations_in_units_of_their_scale():
         assert far == pytest.approx(2 * 100 - 2, rel=1e-3)
 
 
-def bowl(candidate):
+def bowl(run):
     """Numbers that agree with the paper's at one place of the ranges only."""
-    shares = [value.share(value_in(candidate.parameters, value.field)) for value in open_values()]
+    shares = [value.share(value_in(run.parameters, value.field)) for value in open_values()]
     offset = np.max(np.abs(np.array(shares) - 0.4))
-    found = {one.name: np.array(one.paper + offset * 10) for one in candidate.search.number}
+    found = {one.name: np.array(one.paper + offset * 10) for one in search_settings().number}
     return {**found, "solves_failed": np.array(0)}
 
 
 def test_the_search_goes_on_where_it_was_interrupted(tmp_path, monkeypatch):
     evaluated = []
 
-    def counted(candidate):
+    def counted(run):
         if len(evaluated) == 10:
             evaluated.append(None)
             raise KeyboardInterrupt
-        evaluated.append(candidate)
-        return bowl(candidate)
+        evaluated.append(run)
+        return bowl(run)
 
     # Both evaluations have one identity, that of a function of this module.
     counted.__module__, counted.__qualname__ = bowl.__module__, bowl.__qualname__
     search = replace(search_settings(), population=6, generations=4)
     with Processes(1) as workers:
-        monkeypatch.setattr(calibration, "evaluate", bowl)
+        monkeypatch.setattr(calibration, "headline_numbers", bowl)
         straight = calibrate(Store("straight", tmp_path), workers, search)
-        monkeypatch.setattr(calibration, "evaluate", counted)
+        monkeypatch.setattr(calibration, "headline_numbers", counted)
         store = Store("resumed", tmp_path)
         with pytest.raises(KeyboardInterrupt):
             calibrate(store, workers, search)
@@ -143,7 +140,7 @@ def test_flatness_is_the_interval_of_sets_about_as_good_as_the_best():
 
 def test_the_calibrated_set_is_the_best_of_the_record():
     record = read_table(RECORD)
-    best = record.iloc[int(record["objective"].to_numpy().argmin())]
+    best = best_of(record)
     fields = [value.field for value in open_values()]
     start = parameter_set(calibration.START)
     assert with_values(start, best[fields].to_dict()) == parameter_set("calibrated")
@@ -156,8 +153,8 @@ def test_the_calibrated_set_is_the_best_of_the_record():
 @pytest.mark.skipif(compiler() is None, reason="takes minutes without a compiler")
 def test_the_numbers_of_the_best_set_are_found_again():
     record = read_table(RECORD)
-    best = record.iloc[int(record["objective"].to_numpy().argmin())]
+    best = best_of(record)
     search = search_settings()
-    found = evaluate(Candidate(parameter_set("calibrated"), search))
+    found = headline_numbers(HeadlineRun(parameter_set("calibrated"), headline_cells()))
     for one in search.number:
         assert found[one.name] == pytest.approx(best[one.name], abs=0.1 * one.scale), one.name

@@ -14,8 +14,8 @@ from browser import browser_executable
 from playwright.sync_api import sync_playwright
 from pydantic import ValidationError
 
-from softwave_min.calibration import GAIN, GRADATION, open_values
 from softwave_min.identity import ROOT
+from softwave_min.open_values import GAIN, GRADATION, open_values
 from softwave_min.parameters import SET_NAMES, ParameterError, parameter_set
 from softwave_min.register import OpenPoint, Switch, open_points
 

@@ -75,7 +75,8 @@ class Preview:
     def __init__(
         self, flow: Floats, deviation: Floats, horizon: int, parameters: PreviewParameters
     ) -> None:
-        self._flow = told_flow(parameters, flow)
+        self.flow = told_flow(parameters, flow)
+        """The flow as it is told, one row per period."""
         self._deviation = deviation
         self._horizon = horizon
         self._redrawn = parameters.redrawn
@@ -86,7 +87,11 @@ class Preview:
         """Forecast at the start of period ``step``; its row j speaks of period step + j."""
         window = slice(step, step + self._horizon)
         disturbance = self._draw(self._horizon) if self._redrawn else self._frozen[window]
-        return Forecast(self._flow[window], disturbance)
+        return Forecast(self.flow[window], disturbance)
+
+    def disturbances(self, steps: int) -> Floats:
+        """Load noise of the first ``steps`` forecasts, in their order, (steps, K, n) in N m."""
+        return np.array([self.at(step).disturbance for step in range(steps)])
 
     def _draw(self, rows: int) -> Floats:
         return self._deviation * self._generator.standard_normal((rows, len(self._deviation)))

@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from softwave_min.experiments.paper import wave_cases
 from softwave_min.parameters import FailureParameters, ParameterSet
 from softwave_min.simulation import (
     ClosedLoop,
     Scenario,
-    engine_or_none,
+    compile_engine,
     root_mean_square_error,
     simulate_baseline,
     simulate_nmpc,
@@ -23,13 +23,16 @@ from softwave_min.store import Run
 from softwave_min.waves import Sea
 
 __all__ = [
+    "INTERVAL",
     "TRANSIENT",
     "Controller",
     "LoopRun",
     "closed_loops",
     "failed_solves",
+    "fallbacks",
     "in_sea",
     "kept",
+    "over_seas",
     "prepare",
     "realisations",
     "scenario_of",
@@ -43,6 +46,8 @@ Controller = Literal["baseline", "nmpc"]
 Path = tuple[tuple[float, float], ...]
 RunData = Mapping[str, NDArray[Any]]
 
+INTERVAL = (0.05, 0.5, 0.95)
+"""Quantiles over the random seas: a 90 % interval and its median."""
 TRANSIENT = 10.0
 """Seconds after which a run counts as settled."""
 
@@ -89,8 +94,10 @@ def scenario_of(run: LoopRun) -> Scenario:
 
 
 def prepare(run: Run) -> None:
-    """Compile what the run needs."""
-    engine_or_none(scenario_of(run.parameters))
+    """Compile what the run needs, if its parameters are or hold a set."""
+    found = getattr(run.parameters, "parameters", run.parameters)
+    if isinstance(found, ParameterSet):
+        compile_engine(found)
 
 
 def closed_loops(run: LoopRun) -> dict[str, NDArray[Any]]:
@@ -137,7 +144,17 @@ def settled_error(data: RunData, controller: Controller, period: float) -> float
     return root_mean_square_error(data[f"{controller}_error"][round(TRANSIENT / period) :])
 
 
-def failed_solves(data: RunData) -> int:
-    """Solves of the NMPC that did not converge; each is in the run's ``nmpc_status``."""
-    status = data["nmpc_status"]
-    return int(np.count_nonzero(status > 0))
+def failed_solves(data: RunData, controller: Controller = "nmpc") -> int:
+    """Solves that did not converge; each is in the run's ``<controller>_status``."""
+    return int(np.count_nonzero(data[f"{controller}_status"] > 0))
+
+
+def fallbacks(data: RunData, controller: Controller = "nmpc") -> int:
+    """Commands that came from the fallback; each is in the run's ``<controller>_source``."""
+    return int(np.count_nonzero(data[f"{controller}_source"]))
+
+
+def over_seas(values: ArrayLike) -> tuple[float, float, float]:
+    """5 % quantile, median and 95 % quantile of a number over the random seas."""
+    low, median, high = (float(one) for one in np.quantile(np.asarray(values, float), INTERVAL))
+    return low, median, high
