@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from softwave_min.arm import Arm, Structure, Values, mechanics
 from softwave_min.control.interior_point import transition_function
 from softwave_min.control.nmpc import Problem, Solution, Status
+from softwave_min.control.predictor import PeriodSteps
 from softwave_min.parameters import NmpcParameters
 
 __all__ = ["Fatrop"]
@@ -49,9 +50,7 @@ class Fatrop:
         compiler: Sequence[str] = (),
     ) -> None:
         self._n, self._horizon = arm.segments, parameters.horizon
-        self._transition = transition_function(
-            arm.structure, parameters.control_period, parameters.substeps
-        )
+        self._transition = transition_function(arm.structure, PeriodSteps.of(parameters))
         self._fixed = (gains, arm.values)
         self._rollout = self._transition.mapaccum(parameters.horizon)
         program, residual, equality = self._program(arm.structure, parameters)

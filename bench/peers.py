@@ -31,6 +31,7 @@ from recording import Recording, bench_parameters
 from softwave_min.arm import Arm, Structure, Values, mechanics
 from softwave_min.control.baseline import InnerLoop
 from softwave_min.control.interior_point import transition_function
+from softwave_min.control.predictor import PeriodSteps
 from softwave_min.parameters import ParameterSet
 
 Floats = NDArray[np.float64]
@@ -133,7 +134,7 @@ def _rate(parameters: ParameterSet, structure: Structure) -> Law:
 
 def _transition(parameters: ParameterSet, structure: Structure) -> Law:
     nmpc = parameters.nmpc
-    function = transition_function(structure, nmpc.control_period, nmpc.substeps)
+    function = transition_function(structure, PeriodSteps.of(nmpc))
     return lambda *inputs: function(*inputs)[0]
 
 

@@ -45,7 +45,6 @@ from step_time import (
 
 from softwave_min.control.interior_point import InteriorPoint
 from softwave_min.control.nmpc import Status
-from softwave_min.control.preview import told_flow
 from softwave_min.experiments import example_case
 from softwave_min.native import compiler
 from softwave_min.parameters import ParameterSet
@@ -116,9 +115,8 @@ def compiled_loops(parameters: ParameterSet, steps: int) -> pd.DataFrame:
     for pose in POSES:
         scenario = scenario_at(parameters, pose, steps)
         engine, preview = engine_of(scenario), preview_of(scenario)
-        noise = np.array([preview.at(step).disturbance for step in range(steps)])
-        told = told_flow(scenario.parameters.preview, scenario.flow)
-        given = (scenario.initial_state, scenario.targets, scenario.flow, told, noise)
+        noise = preview.disturbances(steps)
+        given = (scenario.initial_state, scenario.targets, scenario.flow, preview.flow, noise)
         milliseconds = []
         for _ in range(PASSES):
             started = time.process_time()

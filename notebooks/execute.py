@@ -48,8 +48,8 @@ METADATA = {
     "language_info": {"file_extension": ".py", "name": "python", "pygments_lexer": "ipython3"},
 }
 """The same on every machine and for every version of Python."""
-SEARCH = "calibration"
-"""Folder of results that is not an experiment's."""
+RECORDS = ("calibration", "sensitivity")
+"""Folders of results that are not an experiment's."""
 CELL_METADATA = ("mystnb", "tags")
 """What an author says of a cell; the rest is what an editor left behind."""
 
@@ -117,7 +117,7 @@ def state(path: Path) -> str:
     cells = [cell for cell in cells if cell["cell_type"] == "code"]
     code = "\n".join(plain_python("".join(cell["source"])) for cell in cells)
     named = words(code)
-    experiments = [name for name in (*NAMES, SEARCH) if name in named]
+    experiments = [name for name in (*NAMES, *RECORDS) if name in named]
     sources = source_files([*imported_modules(code), *experiment_modules(experiments)])
     for source in sources:
         # The parameters' own module names every field, and uses none.

@@ -8,8 +8,11 @@ and how far it may be off; nothing here knows a claim by its name. A verdict is
   *trend reproduced* if only the latter;
 - of a trend: *reproduced* if all checks hold, *trend reproduced* if some only hold weakly;
 - of an artefact: *regenerated* if it is there and shows what the paper says that it shows;
-- of an explanation: *supported* or *not supported*;
+- of an explanation: *supported* or *not supported*, by runs without the cause that it names;
 - *not reproduced* otherwise, and *not decidable* where nothing was computed that could tell.
+
+A claim that is not reproduced or not supported is printed with its reason: our words, with numbers
+from the same tables.
 """
 
 from __future__ import annotations
@@ -22,10 +25,11 @@ from functools import cached_property
 from hashlib import sha256
 from importlib import import_module
 from pathlib import Path
+from string import Formatter
 from typing import Annotated, Any, Literal, Self, get_args, get_type_hints
 
 import pandas as pd
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field, Strict, model_validator
 from pydantic.dataclasses import dataclass as validated
 
 from softwave_min.identity import source_digest
@@ -47,12 +51,15 @@ __all__ = [
     "Claim",
     "ClaimError",
     "Kind",
+    "Reason",
     "Verdict",
     "are_fresh",
     "claims",
     "evaluate",
     "missing_tables",
+    "reasons",
     "summary",
+    "unexplained",
     "verdicts_path",
     "write",
 ]
@@ -68,6 +75,9 @@ EQUAL = 1e-9
 """Relative difference of numbers that are the same but for the way they were written."""
 DIGITS = 6
 """Significant digits of the numbers in the table of verdicts."""
+MINUS = "\N{MINUS SIGN}"
+NOT_COMPUTED = "(not computed)"
+"""Stands in a reason for a number whose table is not there."""
 
 Kind = Literal["number", "trend", "artefact", "explanation"]
 Verdict = Literal[
@@ -79,6 +89,8 @@ Verdict = Literal[
     "not supported",
     "not decidable",
 ]
+FAILED: tuple[Verdict, ...] = ("not reproduced", "not supported")
+"""Verdicts that need a reason."""
 Text = Annotated[str, Field(min_length=1)]
 
 _FROZEN = ConfigDict(extra="forbid")
@@ -109,6 +121,9 @@ class Check:
     limit: Entry | tuple[Entry, ...] | None = None
     weak: Real | None = None
     """The limit with which it still holds weakly."""
+    ablation: Annotated[bool, Strict()] = False
+    """Whether the cause that an explanation names is taken away, or changed alone, in the runs
+    that it looks at."""
 
     @model_validator(mode="after")
     def _is_whole(self) -> Self:
@@ -140,6 +155,10 @@ class Claim:
     """Page of the book that shows it."""
     label: str = ""
     """Of the figure or table there."""
+    cell: str = ""
+    """Label of the section, or of the output of a cell, that has the answer there."""
+    why: str = ""
+    """Name of the reason that holds if it is not reproduced or not supported."""
     paper: Real | None = None
     """The paper's number."""
     unit: str = ""
@@ -168,6 +187,8 @@ class Claim:
             return self
         if (self.kind == "number") != (self.paper is not None and self.value is not None):
             raise ValueError("a number of the paper and one of ours if it is a number, else not")
+        if self.kind == "explanation" and not any(check.ablation for check in self.checks):
+            raise ValueError("an explanation is tested by an ablation")
         if self.tolerance > self.widest_tolerance:
             raise ValueError(f"a tolerance of at most {self.widest_tolerance:g} {self.unit}")
         return self
@@ -189,20 +210,118 @@ class Claim:
         return {table for query in queries if query for table in query.tables()}
 
 
+class _Shown(float):
+    """A number with the ends of its interval; ``%`` has a space before it."""
+
+    low: _Shown
+    high: _Shown
+
+    @classmethod
+    def of(cls, measured: Measured) -> Self:
+        """A number as it was taken from a table."""
+        shown, shown.low, shown.high = map(cls, (measured.number, measured.low, measured.high))
+        return shown
+
+    def __format__(self, specification: str) -> str:
+        text = super().__format__(specification)
+        return text.replace("-", MINUS).replace("%", " %")
+
+
+class _NotComputed:
+    """Stands for a number whose table is not there."""
+
+    @property
+    def low(self) -> Self:
+        return self
+
+    high = low
+
+    def __format__(self, _: str) -> str:
+        return NOT_COMPUTED
+
+
+@validated(frozen=True, config=_FROZEN)
+class Reason:
+    """Why claims are not reproduced, or not supported."""
+
+    text: Text
+    """In our words; ``{name:.2f}`` is one of the numbers, ``{name.low:.2f}`` the lower end of its
+    interval over seas."""
+    evidence: Annotated[
+        tuple[Annotated[str, Field(pattern=r"^[\w/]+#[\w-]+$")], ...], Field(min_length=1)
+    ]
+    """What it rests on: ``page#label`` of figures, tables and sections of the book."""
+    numbers: dict[str, Query]
+
+    @model_validator(mode="after")
+    def _uses_its_numbers(self) -> Self:
+        fields = (name for _, name, _, _ in Formatter().parse(self.text) if name is not None)
+        used = {name.split(".")[0] for name in fields}
+        if used != set(self.numbers):
+            odd = ", ".join(sorted(used ^ set(self.numbers)))
+            raise ValueError(f"every number in the text, and no other: {odd}")
+        return self
+
+    def tables(self) -> set[str]:
+        """The tables that its numbers are taken from."""
+        return {table for query in self.numbers.values() for table in query.tables()}
+
+    def with_numbers(self, tables: Tables) -> str:
+        """The text with its numbers.
+
+        Raises
+        ------
+        LookupError
+            If a table has no such row or column.
+        """
+        return self.text.format(
+            **{name: _shown_number(query, tables) for name, query in self.numbers.items()}
+        )
+
+
+def _shown_number(query: Query, tables: Tables) -> _Shown | _NotComputed:
+    if not all((tables.root / f"{name}.csv").is_file() for name in query.tables()):
+        return _NotComputed()
+    return _Shown.of(tables.measured(query))
+
+
+@validated(frozen=True, config=_FROZEN)
+class _File:
+    """``data/paper/claims.toml``."""
+
+    claim: tuple[Claim, ...]
+    reason: dict[str, Reason]
+
+
+def _file() -> _File:
+    return validate(_File, read_toml(_path()), source=_path())
+
+
+def _path() -> Path:
+    return data_folder() / "paper" / "claims.toml"
+
+
+def reasons() -> dict[str, Reason]:
+    """Why claims are not reproduced, by the names that the claims give."""
+    return _file().reason
+
+
 def claims() -> tuple[Claim, ...]:
     """The paper's claims, in the order of their ids.
 
     Raises
     ------
     ParameterError
-        If the file is not valid, or an id stands there twice.
+        If the file is not valid, an id stands there twice, or a reason is not there.
     """
-    path = data_folder() / "paper" / "claims.toml"
-    found = validate(dict[str, tuple[Claim, ...]], read_toml(path), source=path)["claim"]
-    twice = [name for name, count in Counter(one.id for one in found).items() if count > 1]
+    file = _file()
+    twice = [name for name, count in Counter(one.id for one in file.claim).items() if count > 1]
     if twice:
-        raise ParameterError(f"{path}: twice: {', '.join(twice)}")
-    return tuple(sorted(found, key=lambda one: one.id))
+        raise ParameterError(f"{_path()}: twice: {', '.join(twice)}")
+    for one in file.claim:
+        if one.why and one.why not in file.reason:
+            raise ParameterError(f"{_path()}: {one.id}: no reason {one.why!r}")
+    return tuple(sorted(file.claim, key=lambda one: one.id))
 
 
 # --- verdicts ---------------------------------------------------------------------------
@@ -306,8 +425,9 @@ class _Judged:
             )
         elif self.in_interval:
             yield "the paper's number lies in the interval over seas"
-            if measured.high - measured.low > 2 * claim.tolerance:
-                yield f"that interval is wider than the tolerance of {tolerance} either way"
+            reach = max(measured.high - measured.number, measured.number - measured.low)
+            if reach > claim.tolerance:
+                yield f"that interval is wider than the tolerance of {tolerance}"
         else:
             yield f"{_amount(self.distance, claim)} off; the tolerance is {tolerance}"
 
@@ -458,7 +578,7 @@ def evaluate(
     DataFrame
         One row per claim: ``id``, ``kind``, ``paper_value``, ``our_value``, ``unit``, the
         90 % interval over random seas from ``low`` to ``high``, ``verdict``,
-        ``experiment`` and ``note``.
+        ``experiment``, ``note``, and ``why`` where it is not reproduced or not supported.
 
     Raises
     ------
@@ -469,7 +589,30 @@ def evaluate(
     if absent := missing_tables(root, asked):
         raise ClaimError(f"claims: not computed: {', '.join(f'{name}.csv' for name in absent)}")
     sources = _Sources(Tables(root), parameters)
-    return pd.DataFrame([_row(_judge(claim, sources)) for claim in asked])
+    judged = [_judge(claim, sources) for claim in asked]
+    why = _explained(judged, sources.tables)
+    return pd.DataFrame([_row(one) | {"why": why.get(one.claim.id, "")} for one in judged])
+
+
+def _explained(judged: Sequence[_Judged], tables: Tables) -> dict[str, str]:
+    """Reasons of the claims that fail and have one, by id."""
+    known = reasons()
+    asked = {one.claim.id: one.claim.why for one in judged if one.verdict in FAILED}
+    found = {}
+    for name, why in asked.items():
+        if not why:
+            continue
+        try:
+            found[name] = known[why].with_numbers(tables)
+        except LookupError as error:
+            raise ClaimError(f"{name}: reason {why!r}: {error.args[0]}") from None
+    return found
+
+
+def unexplained(table: pd.DataFrame) -> list[str]:
+    """Ids of the claims that are not reproduced or not supported, and have no reason."""
+    failed = table["verdict"].isin(FAILED) & (table["why"] == "")
+    return list(table["id"][failed])
 
 
 def _row(judged: _Judged) -> dict[str, Any]:
@@ -536,13 +679,15 @@ def summary(table: pd.DataFrame) -> str:
 def write(table: pd.DataFrame, root: Path) -> Path:
     """Write the verdicts with what they came from; the table's path."""
     store = Store(FOLDER, root)
-    tables = sorted({name for claim in claims() for name in claim.tables()})
+    readers: list[Claim | Reason] = [*claims(), *reasons().values()]
+    named = sorted({name for reader in readers for name in reader.tables()})
+    paths = {name: root / f"{name}.csv" for name in named}
     store.write_table(FOLDER, table)
     store.write_provenance(
         {
-            "claims": _digest(data_folder() / "paper" / "claims.toml"),
+            "claims": _digest(_path()),
             "source": source_digest(__name__),
-            "tables": {name: _digest(root / f"{name}.csv") for name in tables},
+            "tables": {name: _digest(path) for name, path in paths.items() if path.is_file()},
         }
     )
     return verdicts_path(root)

@@ -93,8 +93,16 @@ def _parser() -> argparse.ArgumentParser:
     search.add_argument(
         "--write", action="store_true", help=f"make the best one the set {DEFAULT_SET!r}"
     )
-    _workers(search)
-    _results(search)
+    study = subparsers.add_parser(
+        "sensitivity",
+        help="find out which of the open values decide the headline numbers",
+        description="Judge the sets that data/parameters/sensitivity.toml asks for; goes on where "
+        "it was interrupted.",
+    )
+    study.set_defaults(command=commands.sensitivity)
+    for one in (search, study):
+        _workers(one)
+        _results(one)
     return parser
 
 

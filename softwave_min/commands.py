@@ -7,6 +7,7 @@ import sys
 import time
 from argparse import Namespace
 from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from importlib import import_module
 from itertools import groupby
@@ -15,7 +16,15 @@ from tempfile import TemporaryDirectory
 
 from softwave_min.calibration import best_of, best_set_text, search_settings
 from softwave_min.calibration import calibrate as search_for_set
-from softwave_min.claims import are_fresh, evaluate, missing_tables, summary, verdicts_path, write
+from softwave_min.claims import (
+    are_fresh,
+    evaluate,
+    missing_tables,
+    summary,
+    unexplained,
+    verdicts_path,
+    write,
+)
 from softwave_min.compare import (
     Comparison,
     committed_stems,
@@ -45,6 +54,7 @@ from softwave_min.sweep import (
     figures_identity,
     file_digests,
     freshness,
+    prepare,
 )
 from softwave_min.workers import Cluster, Processes, Workers
 
@@ -55,6 +65,7 @@ __all__ = [
     "figures",
     "list_experiments",
     "run",
+    "sensitivity",
     "status",
     "verify",
 ]
@@ -159,11 +170,12 @@ def run(options: Namespace) -> int:
     asked = _asked(options)
     stale: list[str] = []
     failed = False
-    with _workers(options) as workers:
+    with _workers(options) as workers, ThreadPoolExecutor(1) as aside:
         _announce(options)
+        prepared = aside.submit(_prepare, asked) if workers.here else None
         for one in asked.computed:
             try:
-                news = _computed(one, asked, workers)
+                news = _computed(one, asked, workers, prepared)
             except SweepError as error:
                 failed = True
                 print(error, file=sys.stderr, flush=True)
@@ -181,15 +193,22 @@ def run(options: Namespace) -> int:
     return 1 if failed else 0
 
 
+def _prepare(asked: _Asked) -> None:
+    for one in asked.computed:
+        prepare(one, asked.parameters, asked.store(one))
+
+
 def _announce(options: Namespace) -> None:
     where = f"on the cluster at {options.scheduler}" if options.scheduler else description()
     print(f"controllers and plant: {where}", flush=True)
 
 
-def _computed(one: Experiment, asked: _Asked, workers: Workers) -> str:
+def _computed(
+    one: Experiment, asked: _Asked, workers: Workers, prepared: Future[None] | None
+) -> str:
     """Compute an experiment; what there is to say of it."""
     started = time.perf_counter()
-    count = compute(one, asked.parameters, asked.store(one), workers)
+    count = compute(one, asked.parameters, asked.store(one), workers, prepared)
     return f"{count} runs computed in {time.perf_counter() - started:.1f} s" if count else ""
 
 
@@ -273,6 +292,8 @@ def claims(options: Namespace) -> int:
     path = write(table, asked.root)
     print(summary(table))
     print(path)
+    if bare := unexplained(table):
+        print(f"claims without a reason for their verdict: {', '.join(bare)}", file=sys.stderr)
     return 0
 
 
@@ -305,6 +326,22 @@ def calibrate(options: Namespace) -> int:
         folder = data_folder() / "parameters"
         write_atomically(folder / f"{DEFAULT_SET}.toml", best_set_text(table, folder).encode())
         print(f"data/parameters/{DEFAULT_SET}.toml written")
+    return 0
+
+
+# --- sensitivity ------------------------------------------------------------------------
+
+
+def sensitivity(options: Namespace) -> int:
+    """Find out which of the open values decide the headline numbers."""
+    # Imported here: it takes a second, and only the study needs it.
+    from softwave_min.sensitivity import NAME, investigate, study_settings  # noqa: PLC0415
+
+    store = Store(NAME, options.results.resolve() if options.results else results_folder())
+    with _workers(options) as workers:
+        _announce(options)
+        important = investigate(store, workers, study_settings())
+    print(f"the values that matter most: {', '.join(important)}")
     return 0
 
 

@@ -79,7 +79,7 @@ def source_files(modules: Iterable[str]) -> list[Path]:
         if path is None or path in found:
             continue
         found.add(path)
-        found.update(path.parent.glob("*.c") if path.parent != PACKAGE else ())
+        found.update(path.parent.glob("*.[ch]") if path.parent != PACKAGE else ())
         waiting.extend(imported_modules(path.read_text(encoding="utf-8"), _module_name(path)))
     return sorted(found)
 

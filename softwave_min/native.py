@@ -16,19 +16,20 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
 
 from softwave_min.identity import ROOT
 
-__all__ = ["GENERATED", "CompilerError", "build", "compiler", "description"]
+__all__ = ["CompilerError", "build", "compiler", "description"]
 
-FLAGS = ("-march=native", "-fno-math-errno", "-std=c99", "-fPIC")
-"""No -ffast-math: the same numbers as the interpreter's."""
+FLAGS = ("-march=native", "-fno-math-errno", "-ffp-contract=fast", "-std=c99", "-fPIC")
+"""No -ffast-math: the interpreter's numbers, but for the last digit of a product and sum."""
 LOOPS, STRAIGHT_LINE = ("-O3", "-funroll-loops"), ("-O2",)
-"""The generated code is long and has no loops: more than -O2 only takes longer."""
-GENERATED = "model.c"
-"""Name of the generated source."""
+"""Long code without loops only takes longer with more than -O2."""
+MANY_LINES = 2000
+"""So many lines are generated, not written."""
 
 
 class CompilerError(RuntimeError):
@@ -78,16 +79,21 @@ def build(name: str, sources: Mapping[str, str]) -> Path:
         with tempfile.TemporaryDirectory(dir=library.parent) as folder:
             for file_name, text in sources.items():
                 (Path(folder) / file_name).write_text(text, encoding="utf-8")
-            for file_name in sources:
-                _run([*command, *_flags(file_name), "-c", file_name], folder)
+            with ThreadPoolExecutor(os.cpu_count()) as pool:
+                compiled = [
+                    pool.submit(_run, [*command, *_flags(text), "-c", file_name], folder)
+                    for file_name, text in sources.items()
+                ]
+            for one in compiled:
+                one.result()
             objects = [Path(file_name).stem + ".o" for file_name in sorted(sources)]
             _run([*command, "-shared", *objects, "-o", library.name, "-lm"], folder)
             os.replace(Path(folder) / library.name, library)
     return library
 
 
-def _flags(file_name: str) -> tuple[str, ...]:
-    return (*FLAGS, *(STRAIGHT_LINE if file_name == GENERATED else LOOPS))
+def _flags(text: str) -> tuple[str, ...]:
+    return (*FLAGS, *(STRAIGHT_LINE if text.count("\n") > MANY_LINES else LOOPS))
 
 
 def _folder() -> Path:
@@ -105,7 +111,7 @@ def _key(command: tuple[str, ...], sources: Mapping[str, str]) -> str:
     version = subprocess.run([*command, "--version"], capture_output=True, text=True, check=False)
     parts = [*command, version.stdout, platform.machine(), _processor()]
     for name in sorted(sources):
-        parts += [name, *_flags(name), sources[name]]
+        parts += [name, *_flags(sources[name]), sources[name]]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:16]
 
 

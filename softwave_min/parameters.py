@@ -163,6 +163,16 @@ class BaselineParameters:
     initial_bend: Angle
     """Bend given to every segment of the planner's first posture, towards the
     target, in rad: the straight arm is singular."""
+    integral_gain: NonNegative = 0.0
+    """Integral action on the tip's offset from the plan, K_I in 1/s; 0 for none, as in the
+    paper. See ``control.baseline.Correction``."""
+    load_feedforward: Annotated[bool, Strict()] = False
+    """Whether the load of the present flow is fed forward; not in the paper."""
+
+    @property
+    def corrected(self) -> bool:
+        """Whether the commands depend on the state and the flow, not on the plan alone."""
+        return self.integral_gain > 0 or self.load_feedforward
 
 
 @dataclass(frozen=True, config=_FROZEN)
@@ -202,7 +212,9 @@ class NmpcParameters:
     """'gauss_newton': the fast one, compiled where possible. 'interior_point': IPOPT, the
     reference. 'convex': the same steps, each posed in cvxpy."""
     substeps: Annotated[int, Strict(), Field(ge=1, le=64)]
-    """Steps of the predictor's integrator per control period."""
+    """Extrapolated steps of the predictor per control period."""
+    extrapolation_columns: Annotated[int, Strict(), Field(ge=1, le=8)]
+    """Order of the predictor's extrapolation."""
     max_iterations: Annotated[int, Strict(), Field(ge=1, le=1000)]
     """Most Gauss-Newton steps per solve."""
     tolerance: Positive

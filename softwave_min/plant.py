@@ -17,7 +17,7 @@ from scipy.integrate import solve_ivp
 
 from softwave_min.arm import Arm, Structure, Values, mechanics
 from softwave_min.control.baseline import InnerLoop
-from softwave_min.control.predictor import step_function
+from softwave_min.control.predictor import extrapolation_weights, step_function
 from softwave_min.parameters import SimulationParameters
 
 __all__ = ["CvodesPlant", "ExtrapolatedPlant", "Plant", "RungeKuttaPlant", "rate_function"]
@@ -140,9 +140,8 @@ class RungeKuttaPlant:
 class ExtrapolatedPlant:
     """Linearly implicit Euler steps with the harmonic sequence, extrapolated.
 
-    A step of length H is taken in 1, 2, ... K parts; Aitken and Neville's scheme
-    removes one power of the error after another (Hairer & Wanner II, IV.9).
-    ``Engine.advance`` does the same without an interpreter.
+    A step of length H is taken in 1, 2, ... K parts, and the ends are extrapolated to order
+    K (Hairer & Wanner II, IV.9). ``Engine.advance`` does the same without an interpreter.
     """
 
     def __init__(
@@ -153,29 +152,26 @@ class ExtrapolatedPlant:
         period: float,
     ) -> None:
         self._step = step_function(arm.structure)
-        self._fixed = (gains, arm.values)
-        self._count, self._columns = parameters.extrapolated_steps, parameters.extrapolation_columns
+        self._fixed = (np.zeros(arm.segments), gains, arm.values)
+        self._count = parameters.extrapolated_steps
+        self._weights = extrapolation_weights(parameters.extrapolation_columns)
         self._period = period
 
     def advance(self, state: Floats, q_bar: Floats, flow: Floats) -> Floats:
         """State one period later; see ``Plant``."""
         length = self._period / self._count
         for index in range(self._count):
-            state = self._extrapolated(
-                state, q_bar, flow, index * length - self._period / 2, length
-            )
+            start = index * length - self._period / 2
+            state = self._extrapolated(state, q_bar, flow, start, length)
         return state
 
     def _extrapolated(
         self, state: Floats, q_bar: Floats, flow: Floats, start: float, length: float
     ) -> Floats:
-        tableau: list[Floats] = []
-        for parts in range(1, self._columns + 1):
+        total = np.zeros_like(state)
+        for parts, weight in enumerate(self._weights, start=1):
             h, x = length / parts, state
             for part in range(1, parts + 1):
-                x = self._step(x, q_bar, flow, start + part * h, h, *self._fixed).full().ravel()
-            tableau.append(x)
-            for m in reversed(range(parts - 1)):
-                ratio = parts / (m + 1)
-                tableau[m] = tableau[m + 1] + (tableau[m + 1] - tableau[m]) / (ratio - 1)
-        return tableau[0]
+                x = self._step(x, start + part * h, h, q_bar, flow, *self._fixed).full().ravel()
+            total += weight * x
+        return total

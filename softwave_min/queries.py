@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Strict, model_validator
 from pydantic.dataclasses import dataclass as validated
 
+from softwave_min.experiments.closed_loop import over_seas
 from softwave_min.parameters import Real
 from softwave_min.store import Store
 
@@ -26,7 +27,6 @@ __all__ = ["Entry", "Measured", "Query", "Tables"]
 Floats = NDArray[np.float64]
 Entry = Annotated[bool, Strict()] | Annotated[int, Strict()] | Annotated[float, Strict()] | str
 """Of a table or a parameter file; in this order, because True is no 1."""
-QUANTILES = (0.05, 0.5, 0.95)
 
 
 @validated(frozen=True, config=ConfigDict(extra="forbid"))
@@ -124,7 +124,7 @@ class Tables:
         if query.per:
             seas = _column(self._rows(query, {}), query, query.per).dropna().unique()
             values = [self._number(query, {query.per: sea}) for sea in seas] or [math.nan]
-            low, middle, high = (float(one) for one in np.quantile(values, QUANTILES))
+            low, middle, high = over_seas(values)
             return Measured(middle, low, high)
         number = self._number(query, {})
         if not query.low:

@@ -26,6 +26,7 @@ from softwave_min.parameters import (
 __all__ = ["OpenPoint", "Switch", "open_points"]
 
 Text = Annotated[str, Field(min_length=1)]
+FieldName = Annotated[str, Field(pattern=r"^\w+\.\w+$")]
 Kind = Literal["slip", "gap", "wording", "argument"]
 
 _FROZEN = ConfigDict(extra="forbid")
@@ -35,10 +36,18 @@ _FROZEN = ConfigDict(extra="forbid")
 class Switch:
     """A parameter that selects other readings."""
 
-    field: Annotated[str, Field(pattern=r"^\w+\.\w+$")]
+    field: FieldName
     """Section and name in the parameter set."""
     values: Annotated[tuple[Any, ...], Field(min_length=1)]
     """Those of the other readings, or the ends of what is plausible."""
+    along: dict[FieldName, tuple[Any, ...]] = Field(default_factory=dict)
+    """Fields that have to change with it, with an entry for each of the values."""
+
+    @model_validator(mode="after")
+    def _one_entry_per_value(self) -> Self:
+        if any(len(entries) != len(self.values) for entries in self.along.values()):
+            raise ValueError(f"{len(self.values)} entries in each of along, one per value")
+        return self
 
     def alternatives(self, parameters: ParameterSet) -> tuple[ParameterSet, ...]:
         """One parameter set for each of the values.
@@ -48,16 +57,26 @@ class Switch:
         ParameterError
             If there is no such field, it cannot have a value, or has it already.
         """
-        return tuple(self._with(value, parameters) for value in self.values)
-
-    def _with(self, value: Any, parameters: ParameterSet) -> ParameterSet:
-        section, name = self.field.split(".")
-        entries = asdict(parameters)
-        entries.setdefault(section, {})[name] = value
-        found = validate(ParameterSet, entries, source="switch")
-        if found == parameters:
-            raise ParameterError(f"switch: {self.field} is {value!r} already")
+        found = tuple(self.applied(place, parameters) for place in range(len(self.values)))
+        for value, other in zip(self.values, found, strict=True):
+            if other == parameters:
+                raise ParameterError(f"switch: {self.field} is {value!r} already")
         return found
+
+    def applied(self, place: int, parameters: ParameterSet) -> ParameterSet:
+        """The parameters with the value at a place of the list.
+
+        Raises
+        ------
+        ParameterError
+            If there is no such field, or it cannot have that value.
+        """
+        entries = asdict(parameters)
+        changed = {self.field: self.values, **self.along}
+        for name, values in changed.items():
+            section, own = name.split(".")
+            entries.setdefault(section, {})[own] = values[place]
+        return validate(ParameterSet, entries, source="switch")
 
 
 @validated(frozen=True, config=_FROZEN)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from softwave_min.arm import Arm, pack_flow
-from softwave_min.control.baseline import InnerLoop, KinematicPlanner
+from softwave_min.control.baseline import Correction, InnerLoop, KinematicPlanner
 from softwave_min.control.engine import Engine
 from softwave_min.control.nmpc import GaussNewton, Problem, Solution, Solver, Status
 from softwave_min.control.preview import Preview, noise_deviation
@@ -242,14 +242,25 @@ def preview_of(scenario: Scenario) -> Preview:
 
 
 class BaselineController:
-    """Feed-forward + PD behind the kinematic planner."""
+    """Feed-forward + PD behind the kinematic planner, corrected where the parameters say so."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._planned = scenario.planned_angles
+        self._correction = _correction_or_none(scenario)
 
-    def command(self, step: int, state: Floats) -> Command:  # noqa: ARG002
-        """Next planned angles; the planner does not look at the state."""
-        return Command(self._planned[step])
+    def command(self, step: int, state: Floats) -> Command:
+        """Next planned angles; the planner does not look at the state, a correction does."""
+        planned = self._planned[step]
+        if self._correction is None:
+            return Command(planned)
+        return Command(self._correction.command(step, state, planned))
+
+
+def _correction_or_none(scenario: Scenario) -> Correction | None:
+    gains = scenario.parameters.baseline
+    if not gains.corrected:
+        return None
+    return Correction(scenario.arm, gains, scenario.period, preview_of(scenario))
 
 
 class NmpcController:
@@ -360,7 +371,9 @@ def simulate_baseline(scenario: Scenario) -> ClosedLoop:
     SimulationError
         As ``simulate``.
     """
-    fast = scenario.parameters.simulation.integrator == "extrapolation"
+    parameters = scenario.parameters
+    planned_alone = not parameters.baseline.corrected
+    fast = planned_alone and parameters.simulation.integrator == "extrapolation"
     if fast and (engine := engine_or_none(scenario)):
         q_bar = scenario.planned_angles[: scenario.steps]
         states = engine.follow(scenario.initial_state, q_bar, scenario.flow)

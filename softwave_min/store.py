@@ -18,13 +18,13 @@ import platform
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -91,25 +91,36 @@ class Store:
 
     def has(self, run: Run) -> bool:
         """Whether the run was computed as it is defined now, and its file is whole."""
-        try:
-            content = self.run_path(run).read_bytes()
-            return bool(self.run_record(run)["content"] == sha256(content).hexdigest())
-        except (OSError, ValueError, KeyError):
-            return False
+        return _whole(self.run_path(run)) is not None
+
+    def adopt(self, runs: Sequence[Run]) -> list[Run]:
+        """Copy what experiments beside this one have computed under names of their own.
+
+        Returns
+        -------
+        list of Run
+            Those that are still not here.
+        """
+        beside = {
+            path.stem.rpartition("-")[2]: path for path in sorted(self.root.glob("*/runs/*.npz"))
+        }
+        left = []
+        for run in runs:
+            path = self.run_path(run)
+            found = _whole(beside.get(path.stem.rpartition("-")[2], path))
+            if found and found.record.get("identity") == run.identity:
+                _write_run(path, found)
+            else:
+                left.append(run)
+        return left
 
     def save_run(self, run: Run, arrays: Arrays, record: Mapping[str, Any]) -> None:
-        """Write a run's arrays.
-
-        ``record`` is the run's provenance. It goes first: arrays without it
-        would count as computed.
-        """
-        path = self.run_path(run)
+        """Write a run's arrays; ``record`` is their provenance."""
         buffer = io.BytesIO()
         np.savez_compressed(buffer, allow_pickle=False, **arrays)
         content = buffer.getvalue()
         mark = {"content": sha256(content).hexdigest()}
-        write_atomically(path.with_suffix(".json"), _json({**record, **mark}))
-        write_atomically(path, content)
+        _write_run(self.run_path(run), _RunFiles({**record, **mark}, content))
 
     def tidy(self, runs: Iterable[Run]) -> None:
         """Drop what former definitions of the runs, and writers that died, left behind."""
@@ -182,6 +193,30 @@ def table_text(table: pd.DataFrame) -> str:
 def read_table(source: Path | io.StringIO) -> pd.DataFrame:
     """Read a table that ``table_text`` wrote."""
     return pd.read_csv(source)
+
+
+class _RunFiles(NamedTuple):
+    """The two files of a run."""
+
+    record: Mapping[str, Any]
+    content: bytes
+
+
+def _whole(path: Path) -> _RunFiles | None:
+    """Read the two files of a run; None unless both are there and belong together."""
+    try:
+        content = path.read_bytes()
+        record = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+        same = record["content"] == sha256(content).hexdigest()
+    except (OSError, ValueError, KeyError):
+        return None
+    return _RunFiles(record, content) if same else None
+
+
+def _write_run(path: Path, files: _RunFiles) -> None:
+    """Write the record first: arrays without it would count as computed."""
+    write_atomically(path.with_suffix(".json"), _json(files.record))
+    write_atomically(path, files.content)
 
 
 def _json(record: Mapping[str, Any]) -> bytes:

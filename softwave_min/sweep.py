@@ -10,6 +10,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
+from concurrent.futures import Future
 from enum import Enum
 from hashlib import sha256
 from typing import Any
@@ -33,6 +34,7 @@ __all__ = [
     "figures_identity",
     "file_digests",
     "freshness",
+    "prepare",
     "tables_identity",
 ]
 
@@ -100,10 +102,26 @@ def file_digests(store: Store) -> dict[str, str]:
     }
 
 
+def prepare(experiment: Experiment, parameters: ParameterSet, store: Store) -> None:
+    """Compile what the missing runs need."""
+    if experiment.prepare is None:
+        return
+    for run in experiment.runs(parameters):
+        if not store.has(run):
+            experiment.prepare(run)
+            return
+
+
 def compute(
-    experiment: Experiment, parameters: ParameterSet, store: Store, workers: Workers
+    experiment: Experiment,
+    parameters: ParameterSet,
+    store: Store,
+    workers: Workers,
+    prepared: Future[None] | None = None,
 ) -> int:
     """Compute the missing runs, then the tables; the number of runs computed.
+
+    ``prepared`` is waited for where runs are to be prepared; without it that is done here.
 
     Raises
     ------
@@ -111,9 +129,13 @@ def compute(
         If runs failed, after all others are done and saved.
     """
     runs = experiment.runs(parameters)
-    missing = [run for run in runs if not store.has(run)]
+    missing = store.adopt([run for run in runs if not store.has(run)])
     started = time.perf_counter()
-    failures = _compute_runs(experiment, missing, len(runs), store, workers) if missing else []
+    failures = []
+    if missing:
+        if experiment.prepare is not None and workers.here:
+            prepared.result() if prepared else experiment.prepare(missing[0])
+        failures = _compute_runs(experiment, missing, len(runs), store, workers)
     store.tidy(runs)
     if failures:
         raise SweepError(
@@ -129,8 +151,6 @@ def _compute_runs(
     experiment: Experiment, missing: Sequence[Run], total: int, store: Store, workers: Workers
 ) -> list[str]:
     """Compute runs and save each as it is done; the failures."""
-    if workers.here:
-        experiment.prepare(missing[0])
     failures: list[str] = []
     calls = [(run.compute, run.parameters, run.identity) for run in missing]
     with tqdm(

@@ -9,10 +9,8 @@ import matplotlib as mpl
 import pytest
 from hypothesis import Phase, settings
 
-from softwave_min.native import compiler
 from softwave_min.parameters import ParameterSet, parameter_set
-from softwave_min.simulation import Scenario, engine_or_none
-from softwave_min.waves import Sea
+from softwave_min.simulation import compile_engine
 
 NOTEBOOK_LIMIT = 60.0
 """A reader waits no longer than this for a notebook, in s."""
@@ -35,14 +33,11 @@ _spent: defaultdict[str, float] = defaultdict(float)
 def pytest_sessionstart(session):
     """Compile what notebooks share before the first of them is timed."""
     timed = session.config.getoption("nbval", default=False)
-    if not timed or hasattr(session.config, "workerinput") or compiler() is None:
+    if not timed or hasattr(session.config, "workerinput"):
         return
     parameters = parameter_set()
-    brief = replace(parameters, simulation=replace(parameters.simulation, duration=0.1))
     for reading in ("paper", "textbook"):
-        one = replace(brief, fluid=replace(brief.fluid, morison=reading))
-        still = Sea.still(one.sea.depth, one.fluid.gravity)
-        engine_or_none(Scenario.build(one, still, (0.7, -3.7)))
+        compile_engine(replace(parameters, fluid=replace(parameters.fluid, morison=reading)))
 
 
 @pytest.fixture(scope="session")

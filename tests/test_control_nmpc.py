@@ -12,11 +12,11 @@ from softwave_min.arm import Arm
 from softwave_min.control.baseline import InnerLoop
 from softwave_min.control.engine import Engine
 from softwave_min.control.nmpc import GaussNewton, Problem, Status
-from softwave_min.control.preview import Forecast, Preview, noise_deviation
+from softwave_min.control.preview import Forecast
 from softwave_min.experiments.paper import poses, wave_cases
 from softwave_min.native import compiler
 from softwave_min.parameters import FailureParameters
-from softwave_min.simulation import NmpcController, Scenario, plant_of
+from softwave_min.simulation import NmpcController, Scenario, plant_of, preview_of
 from softwave_min.waves import Sea
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="no C compiler")
@@ -44,8 +44,7 @@ def recorded_problems(scenario, count):
     """Problems and guesses that a closed loop under the NumPy solver meets."""
     p = scenario.parameters
     solver = GaussNewton(scenario.arm, scenario.believed_gains, p.nmpc)
-    deviation = noise_deviation(p.preview, scenario.held_loads)
-    preview = Preview(scenario.flow, deviation, p.nmpc.horizon, p.preview)
+    preview = preview_of(scenario)
     plant = plant_of(scenario)
     n, horizon = scenario.arm.segments, p.nmpc.horizon
     state, previous = np.zeros(2 * n), np.zeros(n)

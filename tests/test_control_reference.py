@@ -12,11 +12,11 @@ from softwave_min.control.convex import ConvexPlanner, sqp_step
 from softwave_min.control.engine import Engine
 from softwave_min.control.interior_point import InteriorPoint, transition_function
 from softwave_min.control.nmpc import GaussNewton, Status
-from softwave_min.control.predictor import stage_function
+from softwave_min.control.predictor import PeriodSteps, stage_function
 from softwave_min.experiments.closed_loop import in_sea
 from softwave_min.experiments.paper import poses
 from softwave_min.native import compiler
-from softwave_min.plant import CvodesPlant
+from softwave_min.plant import CvodesPlant, ExtrapolatedPlant
 from softwave_min.simulation import NmpcController, Scenario, simulate, simulate_nmpc, solver_of
 from softwave_min.waves import Sea
 
@@ -130,7 +130,7 @@ def test_the_interior_point_method_reports_how_it_ended_and_recovers(nominal, mo
 @pytest.mark.parametrize("morison", ["paper", "textbook"])
 def test_the_derivatives_in_closed_form_are_those_of_automatic_differentiation(nominal, morison):
     scenario = scenario_of(replace(nominal, fluid=replace(nominal.fluid, morison=morison)))
-    model = (scenario.arm.structure, 0.1, 1)
+    model = (scenario.arm.structure, PeriodSteps(0.1, 2, 3))
     stage, transition = stage_function(*model), transition_function(*model)
     by_definition = transition.factory(
         "by_definition",
@@ -150,7 +150,7 @@ def test_the_derivatives_in_closed_form_are_those_of_automatic_differentiation(n
 def cost_function(scenario):
     """Value and gradient of the cost as the paper prints it, differentiated automatically."""
     weights, n = scenario.parameters.nmpc, scenario.arm.segments
-    transition = transition_function(scenario.arm.structure, 0.1, weights.substeps)
+    transition = transition_function(scenario.arm.structure, PeriodSteps.of(weights))
     inputs = ca.MX.sym("inputs", n, weights.horizon)
 
     def evaluate(problem, plan):
@@ -271,11 +271,12 @@ def predicted(nominal):
     return cases
 
 
-def prediction_errors(nominal, predicted, substeps):
+def prediction_errors(nominal, predicted, columns):
     """Distance of the predicted tips from the tight ones, (plans, K) in m."""
     scenario = scenario_of(nominal, duration=0.1)
     horizon = scenario.parameters.nmpc.horizon
-    predict = transition_function(scenario.arm.structure, scenario.period, substeps)
+    steps = PeriodSteps(scenario.period, 1, columns)
+    predict = transition_function(scenario.arm.structure, steps)
     fixed = [
         np.tile(one[:, None], horizon) for one in (scenario.believed_gains, scenario.arm.values)
     ]
@@ -294,19 +295,50 @@ def prediction_errors(nominal, predicted, substeps):
     )
 
 
-def test_the_predictor_is_off_by_less_than_a_millimetre_once_the_arm_is_up(nominal, predicted):
-    errors = prediction_errors(nominal, predicted, nominal.nmpc.substeps)
-    swinging = np.arange(len(errors)) % 8 < 3  # the first three of the eight plans of each loop
-    assert np.sqrt(np.mean(errors[~swinging] ** 2)) < 1e-3
-    assert np.max(errors[swinging]) < 7e-3
+def test_the_predictor_is_off_by_less_than_a_millimetre(nominal, predicted):
+    settings = nominal.nmpc
+    assert settings.substeps == 1
+    errors = prediction_errors(nominal, predicted, settings.extrapolation_columns)
+    assert np.max(errors) < 1e-3
 
 
-def test_the_predictor_is_of_second_order(nominal, predicted):
+@pytest.mark.parametrize("columns", [1, 2])
+def test_each_column_of_the_extrapolation_makes_the_predictor_better(nominal, predicted, columns):
     coarse, fine = (
-        np.sqrt(np.mean(prediction_errors(nominal, predicted, substeps) ** 2))
-        for substeps in (1, 2)
+        np.sqrt(np.mean(prediction_errors(nominal, predicted, count) ** 2))
+        for count in (columns, columns + 1)
     )
-    assert 2.2 < coarse / fine < 8
+    assert coarse > 4 * fine
+
+
+@pytest.mark.parametrize(("substeps", "columns"), [(1, 1), (1, 3), (2, 2)])
+def test_the_predictor_goes_a_period_as_the_plant_does(nominal, predicted, substeps, columns):
+    scenario = scenario_of(nominal, duration=0.1)
+    problem, plan, _ = predicted[1]
+    flow, state, q_bar = problem.forecast.flow[0], problem.state, plan[0]
+    numerics = {"extrapolated_steps": substeps, "extrapolation_columns": columns}
+    simulation = replace(nominal.simulation, **numerics)
+    plant = ExtrapolatedPlant(scenario.arm, scenario.gains, simulation, scenario.period)
+    stage = stage_function(scenario.arm.structure, PeriodSteps(scenario.period, substeps, columns))
+    after = stage(state, q_bar, flow, np.zeros(3), scenario.believed_gains, scenario.arm.values)[0]
+    expected = plant.advance(state, q_bar, flow)
+    np.testing.assert_allclose(after.full().ravel(), expected, rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("columns", [1, 2, 3])  # beyond, the corner of |v| v shows
+def test_the_order_of_an_extrapolation_is_the_number_of_its_columns(nominal, predicted, columns):
+    scenario = scenario_of(nominal, duration=0.1)
+    problem, plan, _ = predicted[1]
+
+    def after(steps, columns):
+        numerics = {"extrapolated_steps": steps, "extrapolation_columns": columns}
+        simulation = replace(nominal.simulation, **numerics)
+        plant = ExtrapolatedPlant(scenario.arm, scenario.gains, simulation, scenario.period)
+        return plant.advance(problem.state, plan[0], problem.forecast.flow[0])
+
+    exact = after(200, 5)
+    errors = [np.linalg.norm(after(steps, columns) - exact) for steps in (8, 16)]
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(columns, abs=0.4)
 
 
 @pytest.mark.parametrize("name", ["interior_point", "convex"])

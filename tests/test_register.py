@@ -9,15 +9,18 @@ import subprocess
 import sys
 from dataclasses import replace
 
+import pandas as pd
 import pytest
 from browser import browser_executable
 from playwright.sync_api import sync_playwright
 from pydantic import ValidationError
 
+from softwave_min.experiments.open_points import GROUPS
 from softwave_min.identity import ROOT
 from softwave_min.open_values import GAIN, GRADATION, open_values
 from softwave_min.parameters import SET_NAMES, ParameterError, parameter_set
 from softwave_min.register import OpenPoint, Switch, open_points
+from softwave_min.store import Store
 
 POINTS = {one.id: one for one in open_points()}
 SWITCHES = [
@@ -93,10 +96,29 @@ def test_a_switch_changes_its_field_and_nothing_else(switch, name):
         changed = getattr(getattr(other, section), field)
         assert changed == (tuple(value) if isinstance(value, list) else value)
         assert changed != getattr(getattr(nominal, section), field)
-        part = replace(
-            getattr(other, section), **{field: getattr(nominal, section).__dict__[field]}
-        )
-        assert replace(other, **{section: part}) == nominal
+        restored = other
+        for entry in (switch.field, *switch.along):
+            part, own = entry.split(".")
+            usual = getattr(getattr(nominal, part), own)
+            restored = replace(restored, **{part: replace(getattr(restored, part), **{own: usual})})
+        assert restored == nominal
+
+
+def test_what_changes_along_with_a_switch_is_applied_value_by_value():
+    switch = Switch("nmpc.control_period", (0.05, 0.2), {"nmpc.horizon": (30, 8)})
+    found = switch.alternatives(parameter_set())
+    assert [(one.nmpc.control_period, one.nmpc.horizon) for one in found] == [(0.05, 30), (0.2, 8)]
+    with pytest.raises(ValidationError, match="one per value"):
+        replace(switch, along={"nmpc.horizon": (30,)})
+
+
+def test_the_horizon_lasts_as_long_at_every_control_period():
+    nominal = parameter_set().nmpc
+    (switch,) = POINTS["A21"].switches
+    for other in switch.alternatives(parameter_set()):
+        nmpc = other.nmpc
+        lasts = nmpc.horizon * nmpc.control_period
+        assert abs(lasts - nominal.horizon * nominal.control_period) < nmpc.control_period
 
 
 @pytest.mark.parametrize(
@@ -147,22 +169,56 @@ def test_files_that_a_point_names_are_there(point):
 # --- the page ---------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def site(tmp_path_factory):
-    """A book of that page alone; what its builder said."""
-    folder = tmp_path_factory.mktemp("project")
+EFFECTS = {
+    "fluid.drag_coefficient": {"times": 2.5, "star": 0.0123, "star_times": 2.5, "star_at": "1.5"},
+    "fluid.friction_coefficient": {"times": 0.8, "rise": -2.25, "rise_times": 0.8},
+    "nmpc.angle_bound": {"times": 0.7, "rise": 2.0, "rise_times": 0.7},
+}
+"""What stands in a made-up table of effects beside zeros: a switch that matters, and two that do
+not but can be told from another sea."""
+
+
+def effects():
+    """A made-up table of effects: all zero but those of `EFFECTS`."""
+    rows = []
+    for name, point in POINTS.items():
+        for field in (switch.field for switch in point.switches):
+            row = {"point": name, "field": field, "status": "measured"}
+            for group in GROUPS:
+                row |= {group: 0.0, f"{group}_at": "1", f"{group}_times": 0.0}
+            row |= {"times": 0.0, **EFFECTS.get(field, {})}
+            for group in GROUPS:
+                row[f"{group}_exceeds"] = "yes" if row[group] else "no"
+            row["exceeds"] = "yes" if field in EFFECTS else "no"
+            row["matters"] = "yes" if row["times"] > 1 else "no"
+            rows.append(row)
+    table = pd.DataFrame(rows)
+    table.loc[table["field"] == "arm.density", "status"] = "cannot run: the sea is not finite"
+    return table
+
+
+def bound(folder, table=None):
+    """A book of that page alone, with the effects if there are any; what its builder said."""
     source = folder / "book"
     source.mkdir()
     shutil.copytree(ROOT / "data" / "paper", folder / "data" / "paper")
     shutil.copyfile(BOOK / "register.md", source / "index.md")
+    if table is not None:
+        Store("open_points", source / "results").write_table("points", table)
     (source / "conf.py").write_text(
         f"import sys\nsys.path.insert(0, {str(BOOK / '_ext')!r})\n"
-        "extensions = ['myst_parser', 'register']\nnumfig = True\n"
+        "extensions = ['myst_parser', 'register', 'drawing']\nnumfig = True\n"
         f"html_static_path = [{str(BOOK / '_static')!r}]\nhtml_js_files = ['claims.js']\n"
     )
     command = [sys.executable, "-m", "sphinx", "-q", source, folder / "site"]
     answer = subprocess.run(command, capture_output=True, text=True, check=True)
     return folder / "site" / "index.html", answer.stderr
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The page with the made-up effects; what its builder said."""
+    return bound(tmp_path_factory.mktemp("project"), effects())
 
 
 @pytest.fixture(scope="module")
@@ -200,8 +256,54 @@ def test_the_page_counts_the_points(page):
     assert sum(kinds) == len(POINTS)
 
 
-def test_the_page_does_not_promise_effects_that_are_not_measured(page):
-    assert "not yet part of this table" in page[0]
+def cells(text, point):
+    """Text of the cells of a point's row."""
+    (row,) = re.findall(rf'<tr [^>]*id="{point.lower()}".*?</tr>', text, re.DOTALL)
+    found = re.findall(r"<td.*?</td>", row, re.DOTALL)
+    return [" ".join(re.sub(r"<.*?>", " ", cell).split()) for cell in found]
+
+
+def test_the_page_has_the_effect_of_every_switch(page):
+    text, _ = page
+    assert "not measured" not in text
+    for name, point in POINTS.items():
+        effect = cells(text, name)[5]
+        for switch in point.switches:
+            assert f"{switch.field.split('.')[1]}: " in effect
+        assert bool(effect) == bool(point.switches)
+    assert cells(text, "A11")[5] == (
+        "2.50 \N{MULTIPLICATION SIGN} "
+        "drag_coefficient: largest reduction (0), smallest reduction (0), rise (0), "
+        "star +0.0123 m "
+        "friction_coefficient: largest reduction (0), smallest reduction (0), "
+        "rise \N{MINUS SIGN}2.2 points, star (0)"
+    )
+    assert "cannot run: the sea is not finite" in cells(text, "A33")[5]
+
+
+def test_the_page_says_which_reading_matters_most_and_how_many_do_not(page):
+    text = " ".join(re.sub(r"<.*?>", "", page[0]).split())
+    assert (
+        "The reading that matters most is one of A11: fluid.drag_coefficient = 1.5 changes the "
+        "error on the star by +0.0123 m, 2.50 \N{MULTIPLICATION SIGN} what is allowed for."
+    ) in text
+    switched = [name for name, one in POINTS.items() if one.switches]
+    hidden = [name for name in switched if name not in {"A11", "A33", "A51"}]
+    assert f"Of the {len(switched)} points with a switch {len(hidden) + 1} do not matter" in text
+    assert f"moves it ({', '.join(hidden)}), with 1 some number does" in text
+    assert "; 1 could not be run (A33)." in text
+
+
+def test_the_sentences_follow_the_table(tmp_path):
+    table = effects()
+    table.loc[table["field"] == "sea.depth", ["times", "rise_times", "rise"]] = 9.0, 9.0, 31.5
+    text = bound(tmp_path, table)[0].read_text(encoding="utf-8")
+    assert "one of A30: sea.depth" in text
+
+
+def test_a_page_without_measurements_says_so(tmp_path):
+    text = bound(tmp_path)[0].read_text(encoding="utf-8")
+    assert text.count("not measured") == 1 + sum(bool(one.switches) for one in POINTS.values())
 
 
 def test_the_points_can_be_filtered_by_kind_and_switch(site):

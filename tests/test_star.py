@@ -1,4 +1,4 @@
-"""The star: its geometry, the measures of the error, the sweep, and a short real run."""
+"""The star: its geometry, the measures of the error, and a short real run."""
 
 import math
 from dataclasses import replace
@@ -9,17 +9,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from softwave_min.control.nmpc import Problem, Status
+from softwave_min.control.nmpc import Status
 from softwave_min.experiments.closed_loop import TRANSIENT
 from softwave_min.experiments.star import (
     CONTROLLERS,
     EXPERIMENT,
     METRICS,
     STILL,
-    TOLERANCE,
-    HeldReference,
     StarRun,
-    SweepRun,
     choice,
     follow,
     headline,
@@ -28,8 +25,6 @@ from softwave_min.experiments.star import (
     measures,
     period_spread,
     scenario_of,
-    try_variant,
-    variants,
 )
 from softwave_min.experiments.star_path import (
     StarParameters,
@@ -246,15 +241,6 @@ def test_spread_over_periods_is_relative_to_the_mean():
     assert row.paper == pytest.approx(0.1 / 0.3)
 
 
-def test_sweep_holds_the_nominal_star_and_no_star_twice():
-    chosen = choice()
-    found = variants(chosen)
-    assert [one.star for one in found if one.previewed].count(chosen.path) == 1
-    assert len({one.name for one in found}) == len(found)
-    time = chosen.path.laps * chosen.path.lap_duration
-    assert all(one.star.laps * one.star.lap_duration == pytest.approx(time) for one in found)
-
-
 # --- closed loops -------------------------------------------------------------------------
 
 
@@ -320,26 +306,6 @@ def test_waves_move_the_tip_and_still_water_is_its_own_reference(tables):
         assert table.waves_alone[wave]["baseline"] > 2 * table.waves_alone[wave]["nmpc"] > 1e-4
 
 
-def test_nominal_star_of_the_sweep_is_the_nominal_run(tables):
-    star, sweep = choice().path, tables["sweep"]
-    for name in ("outer_radius", "drawing", "manner", "laps"):
-        sweep = sweep[sweep[name] == getattr(star, name)]
-    swept = sweep[sweep.previewed].set_index("measure")
-    table = tables["star"]
-    nominal = table[table.controller == "nmpc"].set_index("wave")
-    for wave in (STILL, "W3"):
-        found = [swept[wave][metric] for metric in METRICS]
-        assert found == pytest.approx([nominal[metric][wave] for metric in METRICS], rel=1e-9)
-
-
-def test_candidates_are_near_the_paper_in_every_sea(tables):
-    sweep, paper = tables["sweep"], pd.Series(choice().rmse)
-    apart = (sweep[paper.index].astype(float) - paper).abs() / paper
-    np.testing.assert_allclose(sweep.deviation, apart.max(axis=1))
-    complete = sweep[paper.index].notna().all(axis=1)
-    assert (sweep.candidate == (complete & (apart <= TOLERANCE).all(axis=1))).all()
-
-
 def test_drag_grows_with_the_speed_of_the_water(tables):
     """At one height the shortest period has the fastest water."""
     scales = tables["time_scales"].set_index("wave")
@@ -353,7 +319,7 @@ def test_failed_solves_are_seen_in_the_figure(short, arrays, tables):
         load_run=lambda run: arrays[run.name], read_table=lambda stem: tables[stem]
     )
     well = draw(store, short)
-    assert set(well) == {"star_trajectory", "errors", "sweep"}
+    assert set(well) == {"star_trajectory", "errors"}
     assert all(drawing.caption and drawing.alt for drawing in well.values())
     run = f"W3-{short.sea.seed}"
     status = arrays[run]["nmpc_status"].copy()
@@ -365,32 +331,6 @@ def test_failed_solves_are_seen_in_the_figure(short, arrays, tables):
     assert "crosses at the 2 solves" in marked.caption
     assert svg(marked) != svg(well["star_trajectory"])
     plt.close("all")
-
-
-def test_held_reference_is_the_next_point():
-    class Asked:
-        def solve(self, problem, guess):
-            self.problem = problem
-            return guess
-
-    asked = Asked()
-    reference = np.arange(8.0).reshape(4, 2)
-    problem = Problem(np.zeros(6), np.zeros(3), reference, forecast=None)
-    assert HeldReference(asked).solve(problem, "guess") == "guess"
-    np.testing.assert_array_equal(asked.problem.reference, np.tile([0.0, 1.0], (4, 1)))
-    np.testing.assert_array_equal(problem.reference, reference)
-
-
-def test_other_seas_are_run_only_for_what_may_agree(short):
-    """A hopeless star is seen in still water and one sea, a hopeful one in all."""
-    variant = next(one for one in variants(choice()) if one.star == choice().path)
-    run = SweepRun(short, variant, 3.0, (("W1", 50.0), ("W2", 50.0), ("W3", 50.0)))
-    hopeless = try_variant(run)
-    assert {name for name in hopeless if name.endswith("tip")} == {"still_tip", "W3_tip"}
-    first = measures(variant.star, hopeless, "W3", 0.1)["rmse"]
-    hopeful = try_variant(replace(run, paper=(("W1", 50.0), ("W2", 50.0), ("W3", 1.1 * first))))
-    assert {"W1_tip", "W2_tip"} < hopeful.keys()
-    np.testing.assert_array_equal(hopeful["W3_tip"], hopeless["W3_tip"])
 
 
 def test_inner_loop_time_of_an_overdamped_joint(nominal):

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -265,3 +266,41 @@ def readable(shelf, runs):
 def main_reports_fresh(shelf):
     runs = toy().runs(parameter_set())
     return all(shelf.has(run) for run in runs) and bool(shelf.provenance())
+
+
+# --- runs that two experiments share ----------------------------------------------------
+
+
+def renamed(experiment, name):
+    """Another experiment of the same runs, under other names."""
+
+    def runs(parameters):
+        return [replace(run, name=f"other-{run.name}") for run in experiment.runs(parameters)]
+
+    return replace(experiment, name=name, runs=runs)
+
+
+def test_what_an_experiment_beside_has_computed_is_not_computed_again(tmp_path):
+    experiment, parameters = toy(seeds=range(4), pause=0.0), parameter_set()
+    other = renamed(toy(seeds=range(5), pause=0.0), "other")
+    alone, shelf = Store("other", tmp_path / "alone"), Store("other", tmp_path / "shared")
+    assert compute(other, parameters, alone, Processes(1)) == 5
+    compute(experiment, parameters, Store("toy", tmp_path / "shared"), Processes(1))
+    assert compute(other, parameters, shelf, Processes(1)) == 1
+    assert table_bytes(shelf.folder) == table_bytes(alone.folder)
+    assert all(shelf.has(run) for run in other.runs(parameters))
+
+
+def test_only_whole_runs_of_the_same_definition_are_taken_over(tmp_path):
+    experiment, parameters = toy(seeds=range(4), pause=0.0), parameter_set()
+    beside = Store("toy", tmp_path)
+    compute(experiment, parameters, beside, Processes(1))
+    half, foreign, gone, _ = (beside.run_path(run) for run in experiment.runs(parameters))
+    half.write_bytes(half.read_bytes()[:-1])
+    record = foreign.with_suffix(".json")
+    record.write_text(record.read_text().replace('"identity": "', '"identity": "0'))
+    gone.with_suffix(".json").unlink()
+    assert (
+        compute(renamed(experiment, "other"), parameters, Store("other", tmp_path), Processes(1))
+        == 3
+    )

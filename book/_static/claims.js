@@ -46,6 +46,14 @@ document.addEventListener("DOMContentLoaded", () => {
   (table.closest(".pst-scrollable-table-container") ?? table).before(bar);
   filter();
 
+  // on paper nothing can be unfolded
+  let folded = [];
+  window.addEventListener("beforeprint", () => {
+    folded = [...table.querySelectorAll("details:not([open])")];
+    folded.forEach((one) => { one.open = true; });
+  });
+  window.addEventListener("afterprint", () => folded.forEach((one) => { one.open = false; }));
+
   // sorting: numbers by size, before what is none; words by the alphabet
   const size = (text) => Number.parseFloat(text.replace("\u2212", "-").replace(/^[<(]\s*/, ""));
   const compare = (a, b) => {

@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 
 from softwave_min.arm import Arm, Structure, Values, mechanics
 from softwave_min.arm.dynamics import solve_symmetric
+from softwave_min.control.preview import Preview
 from softwave_min.parameters import BaselineParameters, FailureParameters
 
-__all__ = ["InnerLoop", "KinematicPlanner", "planner_function"]
+__all__ = ["Correction", "InnerLoop", "KinematicPlanner", "planner_function"]
 
 Floats = NDArray[np.float64]
 
@@ -143,8 +144,108 @@ def planner_function(structure: Structure) -> ca.Function:
     gain, damping, period = ca.vertsplit(settings)
     arm = mechanics(structure, q_bar, ca.SX.zeros(n), Values.unpacked(packed, n))
     jacobian, velocity = arm.tip_jacobian, gain * (target - arm.tips[-1])
-    gram = jacobian @ jacobian.T + damping**2 * ca.SX.eye(2)
-    rate = jacobian.T @ solve_symmetric(gram, velocity)
+    rate = _least_change(jacobian, damping, velocity)
     return ca.Function(
         "planner", [q_bar, target, settings, packed], ca.cse([q_bar + period * rate])
     )
+
+
+def _least_change(jacobian: ca.SX, damping: ca.SX, motion: ca.SX) -> ca.SX:
+    """Change of the angles for a motion of the tip, by the damped inverse of its Jacobian."""
+    gram = jacobian @ jacobian.T + damping**2 * ca.SX.eye(2)
+    return jacobian.T @ solve_symmetric(gram, motion)
+
+
+class Correction:
+    r"""What two fairer opponents add to the planner's command; neither is in the paper.
+
+    The torque law stays as it is. Linearised about its command it is a spring,
+
+    .. math:: \tau(\bar q + \delta) \approx \tau(\bar q) + S\,\delta, \qquad
+       S = \mathrm{diag}(k + \alpha) + \partial G/\partial q,
+
+    so that what the torque should gain can be asked for by the command. With the plan
+    :math:`\bar q_p` the command is
+
+    .. math:: \bar q = \bar q_w - S^{-1}(\bar q_w)\,\hat\tau_E, \qquad
+       \bar q_w = \bar q_p + J^{+}(\bar q_p)\,w, \qquad
+       \dot w = K_I\,\bigl(h(\bar q_p) - h(q)\bigr).
+
+    *Integral action* (``integral_gain``). A load at rest bends the arm by
+    :math:`q - \bar q = S^{-1}\tau_E`. w comes to rest only where the tip is on the plan's. The
+    offset from the plan is integrated, not that from the target, lest the way to the target
+    wind w up. For a slow motion the tip follows w with the arm's lag T, so that the loop is
+    :math:`K_I/(s(1 + Ts))`.
+
+    *Load feed-forward* (``load_feedforward``). The estimate is the model's load of the flow that
+    the preview tells of the present, with its noise, on an arm held still at q: the torque
+    gains what cancels it. The arm's own velocity is left out, as that part of the drag
+    damps the arm.
+
+    Parameters
+    ----------
+    arm : Arm
+    parameters : BaselineParameters
+    period : float
+        Control period, in s.
+    preview : Preview
+        What the NMPC is told. Of each forecast only the present is used.
+    """
+
+    def __init__(
+        self, arm: Arm, parameters: BaselineParameters, period: float, preview: Preview
+    ) -> None:
+        self._arm = arm
+        self._parameters = parameters
+        self._period = period
+        self._preview = preview
+        self._command = _correction_function(arm.structure)
+        loop = InnerLoop.packed(parameters, None)
+        self._fixed = (parameters.damping, loop, arm.values)
+        self._integral = np.zeros(2)
+        self._former: Floats | None = None
+
+    def command(self, step: int, state: Floats, planned: Floats) -> Floats:
+        """Command of the period that starts at ``step``, (n,) in rad.
+
+        ``planned`` is the planner's own. To be called once per period, in their order.
+        """
+        q = state[: self._arm.segments]
+        self._integrate(q)
+        self._former = planned
+        load = self._load(step, q) if self._parameters.load_feedforward else np.zeros_like(q)
+        answer = self._command(planned, self._integral, load, *self._fixed)
+        command: Floats = answer.full().ravel()
+        return command
+
+    def _integrate(self, q: Floats) -> None:
+        if self._former is not None and self._parameters.integral_gain:
+            offset = self._arm.tip(self._former) - self._arm.tip(q)
+            self._integral += self._period * self._parameters.integral_gain * offset
+
+    def _load(self, step: int, q: Floats) -> Floats:
+        """Estimated load at the start of a period, (n,) in N m; its flow is that of the middle."""
+        present = self._preview.at(step)
+        still = np.zeros_like(q)
+        load = self._arm.fluid_load(q, still, present.flow[0], time=-self._period / 2)
+        estimate: Floats = load + present.disturbance[0]
+        return estimate
+
+
+@cache
+def _correction_function(structure: Structure) -> ca.Function:
+    """Command with the corrections: see ``Correction``.
+
+    Inputs: plan; w; estimated load; damping; gains; values.
+    """
+    n = structure.segments
+    plan, w, load = ca.SX.sym("plan", n), ca.SX.sym("w", 2), ca.SX.sym("load", n)
+    damping, gains = ca.SX.sym("damping"), ca.SX.sym("gains", InnerLoop.size(n))
+    packed = ca.SX.sym("values", Values.size(n))
+    values, loop = Values.unpacked(packed, n), InnerLoop.unpacked(gains, n)
+    jacobian = mechanics(structure, plan, ca.SX.zeros(n), values).tip_jacobian
+    moved = plan + _least_change(jacobian, damping, w)
+    slope = loop.torque_by_command(structure, values, moved)
+    command = moved - solve_symmetric(slope, load)
+    inputs = [plan, w, load, damping, gains, packed]
+    return ca.Function("correction", inputs, ca.cse([command]))

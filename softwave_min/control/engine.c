@@ -1,15 +1,21 @@
 /* The NMPC's solver, the plant's integrator and the closed loop of both.
  *
- * The model comes from generated C beside this file: `predictor_stage` is one control period
- * of the predictor with its derivatives, `plant_step` one linearly implicit step of the
- * plant. The algorithm is that of control/nmpc.py and control/integrator.py, which
- * state it readably; here it runs without an interpreter. Matrices are row-major,
- * those of the model column-major. Nothing but functions of math.h is needed.
+ * The model comes from generated C beside this file, which takes several arguments at once
+ * (control/lanes.py): `implicit_step` is a linearly implicit step of plant and predictor, its
+ * lanes the columns of an extrapolation; `implicit_slopes` its derivatives and `period_end`
+ * what else the cost needs, their lanes the periods of the horizon. The algorithm is that of
+ * control/nmpc.py and plant.py, which state it readably; here it runs without an
+ * interpreter. Matrices are row-major, those of the model column-major.
  */
 #include <math.h>
 
-typedef int model_function(const double **arg, double **res, long long *iw, double *w, int mem);
-extern model_function predictor_stage, plant_step;
+typedef void model_function(const double *const *arg, double *const *res);
+extern model_function implicit_step, implicit_slopes, period_end;
+
+/* Lanes of the model's functions: ABREAST columns, WIDE periods. */
+#ifndef ABREAST
+#error "ABREAST and WIDE are those that the model was generated with"
+#endif
 
 enum status { CONVERGED, ITERATION_LIMIT, NO_DECREASE, NOT_FINITE };
 
@@ -18,19 +24,23 @@ enum status { CONVERGED, ITERATION_LIMIT, NO_DECREASE, NOT_FINITE };
 #define ROUNDING 1e-13 /* of a computed cost */
 #define STEADY 0.3 /* a contraction below which the next steps may be foretold ... */
 #define NEARLY 100 /* ... once a step is shorter than so many tolerances */
-#define MOST_COLUMNS 8
+
+/* How a period is integrated: in `steps` steps, each extrapolated from `columns` columns. */
+typedef struct {
+    int steps, columns;
+    const double *weights; /* of the columns */
+    const double *gains;   /* of the inner loop: as the controller believes, or as they are */
+} integrator;
 
 typedef struct {
     int segments, horizon, flow_size;
     int max_iterations, real_time;
     double tip_scale, terminal_scale, step_scale, torque_scale; /* roots of the weights */
     double angle_bound, torque_bound, tolerance; /* a torque bound of 0 is none */
-    int plant_steps, plant_columns; /* per period; columns of the extrapolation */
     double period;
-    const double *gains, *plant_gains, *values; /* the controller's belief, and the truth */
-    double *work;      /* doubles of engine_work() */
-    double *model_w;   /* work of the generated functions */
-    long long *model_iw;
+    integrator predictor, plant;
+    const double *values;
+    double *work; /* engine_work() doubles, 0 at first */
 } engine;
 
 typedef struct {
@@ -42,55 +52,88 @@ typedef struct {
     int status, iterations;
 } outcome;
 
-/* Pieces of the work array, in order. */
+/* Pieces of the work array, in order. Those that are `wide` hold WIDE periods side by side:
+ * element i of period k, of a piece with `count` elements, is lane(piece, count, k)[i * WIDE]. */
 typedef struct {
-    double *a, *b, *tips, *tip_jacobian, *states; /* of the current rollout */
-    double *torques, *torque_by_state, *torque_by_input;
-    double *motion, *previous_motion, *sensitivity;
-    double *row;
-    double *hessian, *factor, *gradient, *direction, *trial, *residual;
-    double *multiplier;
+    double *wide_start, *wide_next, *wide_inputs, *wide_flow, *wide_disturbance;
+    double *wide_points; /* where each step of the rollout starts */
+    double *wide_a, *wide_b, *wide_tips, *wide_tip_jacobian;
+    double *wide_torques, *wide_torque_by_state, *wide_torque_by_input;
+    double *slope, *chain, *product, *begun; /* of one group of periods: A, then B */
+    double *states;
+    double *now, *reached, *end; /* of the columns, and of a step */
+    double *motion, *previous_motion, *sensitivity, *row;
+    double *hessian, *factor, *gradient, *direction, *trial, *residual, *multiplier;
+    double *no_disturbance;
     int *set;
-    double *tableau;
 } pieces;
 
-static double *take(double **free, int count) {
-    double *piece = *free;
-    *free += count;
+static double *take(double *work, long *used, long count) {
+    double *piece = work ? work + *used : 0;
+    *used += count;
     return piece;
 }
 
-static pieces cut(const engine *e, double *work) {
-    int n = e->segments, x = 2 * n, k = e->horizon, size = n * k;
-    pieces p;
-    p.a = take(&work, k * x * x);
-    p.b = take(&work, k * x * n);
-    p.tips = take(&work, 2 * k);
-    p.tip_jacobian = take(&work, k * 2 * n);
-    p.states = take(&work, (k + 1) * x);
-    p.torques = take(&work, size);
-    p.torque_by_state = take(&work, k * n * x);
-    p.torque_by_input = take(&work, k * n * n);
-    p.row = take(&work, size);
-    p.motion = take(&work, x * size);
-    p.previous_motion = take(&work, x * size);
-    p.sensitivity = take(&work, 2 * k * size);
-    p.hessian = take(&work, size * size);
-    p.factor = take(&work, size * size);
-    p.gradient = take(&work, size);
-    p.direction = take(&work, size);
-    p.trial = take(&work, size);
-    p.residual = take(&work, size);
-    p.multiplier = take(&work, size);
-    p.set = (int *)take(&work, size);
-    p.tableau = take(&work, MOST_COLUMNS * x + x);
-    return p;
+static int groups(const engine *e) { return (e->horizon + WIDE - 1) / WIDE; }
+
+/* Points of a period at which the predictor is differentiated. */
+static int points(const engine *e) {
+    const integrator *by = &e->predictor;
+    return by->steps * by->columns * (by->columns + 1) / 2;
 }
 
-int engine_work(int n, int k) {
-    int x = 2 * n, size = n * k;
-    return k * (x * x + x * n + 2 + 2 * n + n * x + n * n) + (k + 1) * x + 2 * x * size +
-           2 * k * size + 2 * size * size + 8 * size + MOST_COLUMNS * x + x;
+static long cut(const engine *e, double *work, pieces *p) {
+    long n = e->segments, x = 2 * n, k = e->horizon, size = n * k, used = 0;
+    long wide = (long)groups(e) * WIDE, slopes = x * (x + n) * WIDE;
+    p->wide_start = take(work, &used, wide * x);
+    p->wide_next = take(work, &used, wide * x);
+    p->wide_inputs = take(work, &used, wide * n);
+    p->wide_flow = take(work, &used, wide * e->flow_size);
+    p->wide_disturbance = take(work, &used, wide * n);
+    p->wide_points = take(work, &used, wide * x * points(e));
+    p->wide_a = take(work, &used, wide * x * x);
+    p->wide_b = take(work, &used, wide * x * n);
+    p->wide_tips = take(work, &used, wide * 2);
+    p->wide_tip_jacobian = take(work, &used, wide * 2 * n);
+    p->wide_torques = take(work, &used, wide * n);
+    p->wide_torque_by_state = take(work, &used, wide * n * x);
+    p->wide_torque_by_input = take(work, &used, wide * n * n);
+    p->slope = take(work, &used, slopes);
+    p->chain = take(work, &used, slopes);
+    p->product = take(work, &used, slopes);
+    p->begun = take(work, &used, slopes);
+    p->states = take(work, &used, (k + 1) * x);
+    p->now = take(work, &used, x * ABREAST);
+    p->reached = take(work, &used, x * ABREAST);
+    p->end = take(work, &used, x);
+    p->motion = take(work, &used, x * size);
+    p->previous_motion = take(work, &used, x * size);
+    p->sensitivity = take(work, &used, 2 * k * size);
+    p->row = take(work, &used, size);
+    p->hessian = take(work, &used, size * size);
+    p->factor = take(work, &used, size * size);
+    p->gradient = take(work, &used, size);
+    p->direction = take(work, &used, size);
+    p->trial = take(work, &used, size);
+    p->residual = take(work, &used, size);
+    p->multiplier = take(work, &used, size);
+    p->no_disturbance = take(work, &used, n);
+    p->set = (int *)take(work, &used, size);
+    return used;
+}
+
+long engine_work(const engine *e) {
+    pieces p;
+    return cut(e, 0, &p);
+}
+
+static double *lane(double *wide, int count, int k) {
+    return wide + (long)(k / WIDE) * count * WIDE + k % WIDE;
+}
+
+static void put(double *wide, int count, int k, const double *values) {
+    double *to = lane(wide, count, k);
+    for (int i = 0; i < count; i++) to[i * WIDE] = values[i];
 }
 
 static double largest(const double *v, int count) {
@@ -104,38 +147,155 @@ static double torque_excess(const engine *e, double torque) {
     return torque - copysign(e->torque_bound, torque);
 }
 
+/* What is held over a period. */
+typedef struct {
+    const double *q_bar, *flow, *disturbance;
+} held;
+
+/* Columns `first` and up of the extrapolation, as many as go abreast, from x: add their ends,
+ * weighted, to p->end. Column j goes the length in j + 1 steps. */
+static void go_abreast(const engine *e, const integrator *by, const held *h, const double *x,
+                       double start, double length, int first, pieces *p, double *point) {
+    int size = 2 * e->segments, left = by->columns - first;
+    int count = left < ABREAST ? left : ABREAST, depth = first + count;
+    double time[ABREAST], step[ABREAST];
+    const double *arg[] = {p->now, time, step, h->q_bar, h->flow, h->disturbance, by->gains, e->values};
+    double *res[] = {p->reached};
+    for (int l = 0; l < ABREAST; l++) {
+        step[l] = length / (l < count ? first + l + 1 : depth);
+        for (int i = 0; i < size; i++) p->now[i * ABREAST + l] = x[i];
+    }
+    for (int m = 0; m < depth; m++) {
+        int slowest = m > first ? m - first : 0; /* the lanes before it have arrived */
+        for (int l = 0; l < ABREAST; l++) time[l] = start + (m + 1) * step[l];
+        if (point)
+            for (int l = slowest; l < count; l++) {
+                int j = first + l;
+                double *to = point + (long)(j * (j + 1) / 2 + m) * size * WIDE;
+                for (int i = 0; i < size; i++) to[i * WIDE] = p->now[i * ABREAST + l];
+            }
+        implicit_step(arg, res);
+        for (int i = 0; i < size; i++)
+            for (int l = slowest; l < count; l++) p->now[i * ABREAST + l] = p->reached[i * ABREAST + l];
+    }
+    for (int i = 0; i < size; i++)
+        for (int l = 0; l < count; l++) p->end[i] += by->weights[first + l] * p->now[i * ABREAST + l];
+}
+
+/* Move x on by a period. Where each step starts is kept in the lane `point`, if asked for. */
+static void advance(const engine *e, const integrator *by, const held *h, double *x, pieces *p,
+                    double *point) {
+    int size = 2 * e->segments, each = by->columns * (by->columns + 1) / 2;
+    double length = e->period / by->steps;
+    for (int s = 0; s < by->steps; s++) {
+        double start = s * length - e->period / 2;
+        for (int i = 0; i < size; i++) p->end[i] = 0;
+        for (int first = 0; first < by->columns; first += ABREAST)
+            go_abreast(e, by, h, x, start, length, first, p,
+                       point ? point + (long)s * each * size * WIDE : 0);
+        for (int i = 0; i < size; i++) x[i] = p->end[i];
+    }
+}
+
+/* Forecast of a task, side by side. */
+static void read_forecast(const engine *e, const task *t, pieces *p) {
+    int n = e->segments, f = e->flow_size;
+    for (int k = 0; k < e->horizon; k++) {
+        put(p->wide_flow, f, k, t->flow + f * k);
+        put(p->wide_disturbance, n, k, t->disturbance + n * k);
+    }
+}
+
+static void end_periods(const engine *e, pieces *p) {
+    int n = e->segments, x = 2 * n;
+    for (int k = 0; k < e->horizon; k += WIDE) {
+        const double *arg[] = {lane(p->wide_start, x, k), lane(p->wide_next, x, k),
+                               lane(p->wide_inputs, n, k), e->predictor.gains, e->values};
+        double *res[] = {lane(p->wide_tips, 2, k), lane(p->wide_tip_jacobian, 2 * n, k),
+                         lane(p->wide_torques, n, k), lane(p->wide_torque_by_state, n * x, k),
+                         lane(p->wide_torque_by_input, n * n, k)};
+        period_end(arg, res);
+    }
+}
+
 /* Roll the model out under the inputs; the cost, or NaN where it is not finite. */
 static double roll_out(const engine *e, const task *t, const double *inputs, pieces *p) {
-    int n = e->segments, x = 2 * n;
+    int n = e->segments, x = 2 * n, f = e->flow_size;
     double cost = 0;
     for (int i = 0; i < x; i++) p->states[i] = t->state[i];
     for (int k = 0; k < e->horizon; k++) {
-        double *tip = p->tips + 2 * k;
-        const double *arg[6 + 64] = {p->states + x * k, inputs + n * k, t->flow + e->flow_size * k,
-                                t->disturbance + n * k, e->gains, e->values};
-        double *torque = p->torques + n * k;
-        double *res[8 + 64] = {p->states + x * (k + 1),
-                               p->a + x * x * k,
-                               p->b + x * n * k,
-                               tip,
-                               p->tip_jacobian + 2 * n * k,
-                               torque,
-                               p->torque_by_state + n * x * k,
-                               p->torque_by_input + n * n * k};
-        predictor_stage(arg, res, e->model_iw, e->model_w, 0);
+        double *from = p->states + x * k, *to = from + x;
+        held h = {inputs + n * k, t->flow + f * k, t->disturbance + n * k};
+        for (int i = 0; i < x; i++) to[i] = from[i];
+        advance(e, &e->predictor, &h, to, p, lane(p->wide_points, x * points(e), k));
+        put(p->wide_start, x, k, from);
+        put(p->wide_next, x, k, to);
+        put(p->wide_inputs, n, k, h.q_bar);
+    }
+    end_periods(e, p);
+    for (int k = 0; k < e->horizon; k++) {
+        const double *tip = lane(p->wide_tips, 2, k), *torque = lane(p->wide_torques, n, k);
         double scale = k + 1 < e->horizon ? e->tip_scale : e->terminal_scale;
         for (int i = 0; i < 2; i++) {
-            double error = scale * (tip[i] - t->reference[2 * k + i]);
+            double error = scale * (tip[i * WIDE] - t->reference[2 * k + i]);
             cost += error * error;
         }
         const double *before = k ? inputs + n * (k - 1) : t->previous;
         for (int i = 0; i < n; i++) {
             double change = e->step_scale * (inputs[n * k + i] - before[i]);
-            double excess = e->torque_scale * torque_excess(e, torque[i]);
+            double excess = e->torque_scale * torque_excess(e, torque[i * WIDE]);
             cost += change * change + excess * excess;
         }
     }
     return cost;
+}
+
+/* product = slope * chain, and in the columns of the command + slope's own. */
+static void follow_chain(int n, pieces *p) {
+    int x = 2 * n;
+    for (int c = 0; c < x + n; c++)
+        for (int r = 0; r < x; r++) {
+            double sum[WIDE];
+            const double *own = p->slope + (c * x + r) * WIDE;
+            for (int l = 0; l < WIDE; l++) sum[l] = c < x ? 0 : own[l];
+            for (int m = 0; m < x; m++) {
+                const double *s = p->slope + (m * x + r) * WIDE, *in = p->chain + (c * x + m) * WIDE;
+                for (int l = 0; l < WIDE; l++) sum[l] += s[l] * in[l];
+            }
+            for (int l = 0; l < WIDE; l++) p->product[(c * x + r) * WIDE + l] = sum[l];
+        }
+}
+
+/* Derivatives of the periods k and on, WIDE of them, of the last rollout. */
+static void differentiate(const engine *e, pieces *p, int k) {
+    int n = e->segments, x = 2 * n, count = x * (x + n) * WIDE;
+    const integrator *by = &e->predictor;
+    double length = e->period / by->steps;
+    double *a = lane(p->wide_a, x * x, k), *b = lane(p->wide_b, x * n, k);
+    const double *point = lane(p->wide_points, x * points(e), k);
+    for (int i = 0; i < x * x * WIDE; i++) a[i] = i / WIDE % (x + 1) == 0;
+    for (int i = 0; i < x * n * WIDE; i++) b[i] = 0;
+    for (int s = 0; s < by->steps; s++) {
+        for (int i = 0; i < x * x * WIDE; i++) p->begun[i] = a[i], a[i] = 0;
+        for (int i = 0; i < x * n * WIDE; i++) p->begun[x * x * WIDE + i] = b[i], b[i] = 0;
+        for (int j = 0; j < by->columns; j++) {
+            double h = length / (j + 1);
+            for (int i = 0; i < count; i++) p->chain[i] = p->begun[i];
+            for (int m = 0; m <= j; m++, point += x * WIDE) {
+                double time = s * length - e->period / 2 + (m + 1) * h;
+                const double *arg[] = {point, &time, &h, lane(p->wide_inputs, n, k),
+                                       lane(p->wide_flow, e->flow_size, k),
+                                       lane(p->wide_disturbance, n, k), by->gains, e->values};
+                double *res[] = {p->slope, p->slope + x * x * WIDE}, *swap = p->chain;
+                implicit_slopes(arg, res);
+                follow_chain(n, p);
+                p->chain = p->product;
+                p->product = swap;
+            }
+            for (int i = 0; i < x * x * WIDE; i++) a[i] += by->weights[j] * p->chain[i];
+            for (int i = 0; i < x * n * WIDE; i++) b[i] += by->weights[j] * p->chain[x * x * WIDE + i];
+        }
+    }
 }
 
 /* Add a residual with its row of derivatives to Hessian and half gradient. */
@@ -150,16 +310,19 @@ static void add_row(pieces *p, int size, int columns, const double *row, double 
 /* The torques beyond their bound, period k; motion is still that before the period. */
 static void add_torques(const engine *e, pieces *p, int k) {
     int n = e->segments, x = 2 * n, size = n * e->horizon, known = n * k;
+    const double *torques = lane(p->wide_torques, n, k);
+    const double *by_state = lane(p->wide_torque_by_state, n * x, k);
+    const double *by_input = lane(p->wide_torque_by_input, n * n, k);
     for (int i = 0; i < n; i++) {
-        double excess = e->torque_scale * torque_excess(e, p->torques[n * k + i]);
+        double excess = e->torque_scale * torque_excess(e, torques[i * WIDE]);
         if (excess == 0) continue;
         for (int c = 0; c < known; c++) p->row[c] = 0;
         for (int m = 0; m < x; m++) {
-            double factor = e->torque_scale * p->torque_by_state[n * x * k + i + n * m];
+            double factor = e->torque_scale * by_state[(i + n * m) * WIDE];
             for (int c = 0; c < known; c++) p->row[c] += factor * p->motion[m * size + c];
         }
         for (int m = 0; m < n; m++)
-            p->row[known + m] = e->torque_scale * p->torque_by_input[n * n * k + i + n * m];
+            p->row[known + m] = e->torque_scale * by_input[(i + n * m) * WIDE];
         add_row(p, size, known + n, p->row, excess);
     }
 }
@@ -180,7 +343,9 @@ static void condense(const engine *e, const task *t, const double *inputs, piece
         }
     }
     for (int k = 0; k < e->horizon; k++) {
-        const double *a = p->a + x * x * k, *b = p->b + x * n * k, *j = p->tip_jacobian + 2 * n * k;
+        if (k % WIDE == 0) differentiate(e, p, k);
+        const double *a = lane(p->wide_a, x * x, k), *b = lane(p->wide_b, x * n, k);
+        const double *tip = lane(p->wide_tips, 2, k), *j = lane(p->wide_tip_jacobian, 2 * n, k);
         int known = n * k, columns = known + n;
         if (e->torque_bound > 0) add_torques(e, p, k);
         double *swap = p->motion;
@@ -190,19 +355,19 @@ static void condense(const engine *e, const task *t, const double *inputs, piece
             double *out = p->motion + row * size;
             for (int c = 0; c < known; c++) out[c] = 0;
             for (int m = 0; m < x; m++) {
-                double factor = a[row + x * m];
+                double factor = a[(row + x * m) * WIDE];
                 const double *in = p->previous_motion + m * size;
                 for (int c = 0; c < known; c++) out[c] += factor * in[c];
             }
-            for (int c = 0; c < n; c++) out[known + c] = b[row + x * c];
+            for (int c = 0; c < n; c++) out[known + c] = b[(row + x * c) * WIDE];
         }
         double scale = k + 1 < e->horizon ? e->tip_scale : e->terminal_scale;
         for (int row = 0; row < 2; row++) {
             double *g = p->sensitivity + (2 * k + row) * size;
-            double error = scale * (p->tips[2 * k + row] - t->reference[2 * k + row]);
+            double error = scale * (tip[row * WIDE] - t->reference[2 * k + row]);
             for (int c = 0; c < columns; c++) g[c] = 0;
             for (int m = 0; m < n; m++) {
-                double factor = scale * j[row + 2 * m];
+                double factor = scale * j[(row + 2 * m) * WIDE];
                 const double *in = p->motion + m * size;
                 for (int c = 0; c < columns; c++) g[c] += factor * in[c];
             }
@@ -296,7 +461,9 @@ static int is_finite(double value) { return value - value == 0; }
 
 void nmpc_solve(const engine *e, const task *t, double *inputs, outcome *out) {
     int size = e->segments * e->horizon;
-    pieces p = cut(e, e->work);
+    pieces p;
+    cut(e, e->work, &p);
+    read_forecast(e, t, &p);
     for (int i = 0; i < size; i++) inputs[i] = fmin(fmax(inputs[i], -e->angle_bound), e->angle_bound);
     double cost = roll_out(e, t, inputs, &p);
     out->iterations = 0;
@@ -342,35 +509,14 @@ void nmpc_solve(const engine *e, const task *t, double *inputs, outcome *out) {
     }
 }
 
-/* One period of the plant: linearly implicit Euler steps, extrapolated. */
+/* One period of the plant. */
 void plant_advance(const engine *e, const double *state, const double *q_bar, const double *flow,
                    double *end) {
-    int x = 2 * e->segments;
-    pieces p = cut(e, e->work);
-    double macro = e->period / e->plant_steps;
-    for (int i = 0; i < x; i++) end[i] = state[i];
-    for (int index = 0; index < e->plant_steps; index++) {
-        double start = index * macro - e->period / 2;
-        for (int j = 0; j < e->plant_columns; j++) {
-            double h = macro / (j + 1), *row = p.tableau + j * x, *now = p.tableau + MOST_COLUMNS * x;
-            for (int i = 0; i < x; i++) now[i] = end[i];
-            for (int m = 0; m <= j; m++) {
-                double time = start + (m + 1) * h;
-                const double *arg[7 + 64] = {now, q_bar, flow, &time, &h, e->plant_gains, e->values};
-                double *res[1 + 64] = {row};
-                plant_step(arg, res, e->model_iw, e->model_w, 0);
-                for (int i = 0; i < x; i++) now[i] = row[i];
-            }
-            /* Aitken and Neville: row m becomes the next column's entry. */
-            for (int m = j - 1; m >= 0; m--)
-                for (int i = 0; i < x; i++) {
-                    double finer = p.tableau[(m + 1) * x + i], coarser = p.tableau[m * x + i];
-                    double ratio = (j + 1.0) / (m + 1.0);
-                    p.tableau[m * x + i] = finer + (finer - coarser) / (ratio - 1);
-                }
-        }
-        for (int i = 0; i < x; i++) end[i] = p.tableau[i];
-    }
+    pieces p;
+    cut(e, e->work, &p);
+    held h = {q_bar, flow, p.no_disturbance};
+    for (int i = 0; i < 2 * e->segments; i++) end[i] = state[i];
+    advance(e, &e->plant, &h, end, &p, 0);
 }
 
 /* The plant under commands that are given. */

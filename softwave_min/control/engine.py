@@ -1,4 +1,4 @@
-"""The compiled engine: ``engine.c`` beside the C code that CasADi generates of the model.
+"""The compiled engine: ``engine.c`` beside C code that is generated of the model.
 
 It takes the steps of ``GaussNewton`` and of ``ExtrapolatedPlant`` without an interpreter.
 """
@@ -6,19 +6,22 @@ It takes the steps of ``GaussNewton`` and of ``ExtrapolatedPlant`` without an in
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from softwave_min.arm import Arm
+from softwave_min.arm import Arm, Structure
+from softwave_min.control.lanes import lane_code
 from softwave_min.control.nmpc import Problem, Solution, Status, scales
-from softwave_min.control.predictor import stage_function, step_function
-from softwave_min.native import GENERATED, build
+from softwave_min.control.predictor import (
+    extrapolation_weights,
+    period_function,
+    slopes_function,
+    step_function,
+)
+from softwave_min.native import build
 from softwave_min.parameters import NmpcParameters, SimulationParameters
 
 __all__ = ["Engine"]
@@ -26,6 +29,19 @@ __all__ = ["Engine"]
 Floats = NDArray[np.float64]
 _DOUBLES = ctypes.POINTER(ctypes.c_double)
 _INTS = ctypes.POINTER(ctypes.c_int)
+ABREAST = 4
+"""Columns of an extrapolation that the model takes at once."""
+WIDE = 8
+"""Periods that it differentiates at once."""
+
+
+class _Integrator(ctypes.Structure):
+    _fields_ = (
+        ("steps", ctypes.c_int),
+        ("columns", ctypes.c_int),
+        ("weights", _DOUBLES),
+        ("gains", _DOUBLES),
+    )
 
 
 class _Engine(ctypes.Structure):
@@ -35,10 +51,9 @@ class _Engine(ctypes.Structure):
         *((name, ctypes.c_double) for name in ("tip_scale", "terminal_scale", "step_scale")),
         *((name, ctypes.c_double) for name in ("torque_scale", "angle_bound", "torque_bound")),
         ("tolerance", ctypes.c_double),
-        *((name, ctypes.c_int) for name in ("plant_steps", "plant_columns")),
         ("period", ctypes.c_double),
-        *((name, _DOUBLES) for name in ("gains", "plant_gains", "values", "work", "model_w")),
-        ("model_iw", ctypes.POINTER(ctypes.c_longlong)),
+        *((name, _Integrator) for name in ("predictor", "plant")),
+        *((name, _DOUBLES) for name in ("values", "work")),
     )
 
 
@@ -82,21 +97,10 @@ class Engine:
         nmpc: NmpcParameters,
         plant: SimulationParameters,
     ) -> None:
-        functions = (
-            stage_function(arm.structure, nmpc.control_period, nmpc.substeps),
-            step_function(arm.structure),
-        )
-        self._library = _library(functions)
-        # The arrays must live as long as the pointers to them.
-        self._kept = [
-            np.array(gains, dtype=float),
-            np.array(plant_gains, dtype=float),
-            arm.values,
-            np.zeros(self._library.engine_work(arm.segments, nmpc.horizon)),
-            np.zeros(max(function.sz_w() for function in functions) + 1),
-        ]
-        self._integers = np.zeros(max(f.sz_iw() for f in functions) + 1, dtype=np.int64)
+        self._library = _library(arm.structure)
         self._segments = arm.segments
+        # The arrays must live as long as the pointers to them.
+        self._kept = [arm.values]
         self._engine = _Engine(
             arm.segments,
             nmpc.horizon,
@@ -108,13 +112,19 @@ class Engine:
             nmpc.angle_bound,
             nmpc.torque_bound,
             nmpc.tolerance,
-            plant.extrapolated_steps,
-            plant.extrapolation_columns,
             nmpc.control_period,
-            *(_pointer(array) for array in self._kept),
-            self._integers.ctypes.data_as(ctypes.POINTER(ctypes.c_longlong)),
+            self._integrator(nmpc.substeps, nmpc.extrapolation_columns, gains),
+            self._integrator(plant.extrapolated_steps, plant.extrapolation_columns, plant_gains),
+            _pointer(arm.values),
         )
+        self._kept.append(np.zeros(self._library.engine_work(ctypes.byref(self._engine))))
+        self._engine.work = _pointer(self._kept[-1])
         self._outcome = _Outcome()
+
+    def _integrator(self, steps: int, columns: int, gains: Floats) -> _Integrator:
+        arrays = [extrapolation_weights(columns), np.array(gains, dtype=float)]
+        self._kept += arrays
+        return _Integrator(steps, columns, *(_pointer(array) for array in arrays))
 
     def solve(self, problem: Problem, guess: Floats) -> Solution:
         """Minimise the cost from the inputs ``guess``, (K, n) in rad."""
@@ -190,22 +200,20 @@ def _pointer(array: Floats) -> ctypes._Pointer[ctypes.c_double]:
 
 
 @cache
-def _library(functions: Sequence[ca.Function]) -> ctypes.CDLL:
+def _library(structure: Structure) -> ctypes.CDLL:
+    own = Path(__file__).with_name("engine.c").read_text(encoding="utf-8")
+    constants = {"q_bar", "flow", "disturbance", "gains", "values"}
     sources = {
-        GENERATED: _generated(functions),
-        "engine.c": Path(__file__).with_name("engine.c").read_text(encoding="utf-8"),
+        "engine.c": f"#define ABREAST {ABREAST}\n#define WIDE {WIDE}\n{own}",
+        "step.c": lane_code(step_function(structure), ABREAST, same=constants),
+        "slopes.c": lane_code(
+            slopes_function(structure), WIDE, same={"time", "h", "gains", "values"}
+        ),
+        "period.c": lane_code(period_function(structure), WIDE, same={"gains", "values"}),
     }
     library = ctypes.CDLL(str(build("engine", sources)))
+    library.engine_work.restype = ctypes.c_long
     library.nmpc_solve.restype = None
     library.plant_advance.restype = None
     library.plant_follow.restype = None
     return library
-
-
-def _generated(functions: Sequence[ca.Function]) -> str:
-    generator = ca.CodeGenerator(GENERATED)
-    for function in functions:
-        generator.add(function)
-    with TemporaryDirectory() as folder:
-        generator.generate(folder + "/")
-        return (Path(folder) / GENERATED).read_text(encoding="utf-8")

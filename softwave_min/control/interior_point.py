@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from softwave_min.arm import Arm, Structure, Values
 from softwave_min.control.baseline import InnerLoop
 from softwave_min.control.nmpc import Problem, Solution, Status
-from softwave_min.control.predictor import stage_function
+from softwave_min.control.predictor import PeriodSteps, stage_function
 from softwave_min.parameters import NmpcParameters
 
 __all__ = ["InteriorPoint", "transition_function"]
@@ -65,7 +65,7 @@ class InteriorPoint:
         tolerance: float = 1e-10,
         expand: bool = False,
     ) -> None:
-        model = (arm.structure, parameters.control_period, parameters.substeps)
+        model = (arm.structure, PeriodSteps.of(parameters))
         self._solver = _ipopt(*model, parameters.horizon, tolerance, expand)
         self._rollout = transition_function(*model).mapaccum("rollout", parameters.horizon)
         self._fixed = (gains, arm.values, _weights(parameters))
@@ -113,12 +113,12 @@ class InteriorPoint:
 
 
 @cache
-def transition_function(structure: Structure, period: float, substeps: int) -> ca.Function:
+def transition_function(structure: Structure, steps: PeriodSteps) -> ca.Function:
     """Next state, its tip and the torque of one period: ``stage_function`` without derivatives.
 
     Automatic differentiation of this one is exact to any order.
     """
-    stage = stage_function(structure, period, substeps)
+    stage = stage_function(structure, steps)
     inputs = stage.sx_in()
     after = dict(zip(stage.name_out(), stage(*inputs), strict=True))
     outputs = ["next", "tip", "torque"]
@@ -143,13 +143,12 @@ def _weights(parameters: NmpcParameters) -> Floats:
 @cache
 def _ipopt(
     structure: Structure,
-    period: float,
-    substeps: int,
+    steps: PeriodSteps,
     horizon: int,
     tolerance: float,
     expand: bool,
 ) -> ca.Function:
-    transition = transition_function(structure, period, substeps)
+    transition = transition_function(structure, steps)
     options: dict[str, Any] = {
         "expand": expand,
         "print_time": False,

@@ -21,7 +21,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import lsq_linear
 
 from softwave_min.arm import Arm
-from softwave_min.control.predictor import rollout_function
+from softwave_min.control.predictor import PeriodSteps, rollout_function
 from softwave_min.control.preview import Forecast
 from softwave_min.parameters import NmpcParameters
 
@@ -131,9 +131,8 @@ class GaussNewton:
         self._segments = arm.segments
         self._values = arm.values
         self._gains = gains
-        self._rollout = rollout_function(
-            arm.structure, parameters.control_period, parameters.substeps, parameters.horizon
-        )
+        steps = PeriodSteps.of(parameters)
+        self._rollout = rollout_function(arm.structure, steps, parameters.horizon)
         each, last, _ = scales(parameters)
         self._tip_scale = np.repeat([each] * (parameters.horizon - 1) + [last], 2)
         self._difference = self._difference_matrix()

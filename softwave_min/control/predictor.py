@@ -7,17 +7,21 @@ and the derivative gain acts on the smallest. The step is linearly implicit,
           = h f - h^2 (k + \alpha)\, \dot q, \qquad q^+ = q + h \dot q^+,
 
 with f the resultant of all forces, S the slope of the drag by the rates and the
-flow taken at the end of the step. One full and two half steps are extrapolated
-to second order (Hairer & Wanner II, IV.9), which keeps the damping.
+flow taken at the end of the step. A length H is gone in 1, in 2, ... in K such steps, and
+the ends T_1, ... T_K are extrapolated to order K (Hairer & Wanner II, IV.9), which keeps
+the damping.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import dataclass
 from functools import cache
 from typing import Self
 
 import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
 
 from softwave_min.arm import Section, Structure, Values, mechanics
 from softwave_min.arm.dynamics import solve_symmetric
@@ -25,8 +29,17 @@ from softwave_min.arm.hydrodynamics import flow_at, flow_gradient
 from softwave_min.arm.kinematics import BodyPoint
 from softwave_min.arm.mechanics import flow_coefficients
 from softwave_min.control.baseline import InnerLoop
+from softwave_min.parameters import NmpcParameters
 
-__all__ = ["rollout_function", "stage_function", "step_function"]
+__all__ = [
+    "PeriodSteps",
+    "extrapolation_weights",
+    "period_function",
+    "rollout_function",
+    "slopes_function",
+    "stage_function",
+    "step_function",
+]
 
 
 @dataclass(frozen=True)
@@ -54,9 +67,15 @@ class _Period:
         )
 
     @property
-    def symbols(self) -> list[ca.SX]:
+    def inputs(self) -> dict[str, ca.SX]:
         """Inputs of every function of this period, the state aside."""
-        return [self.q_bar, self.flow, self.disturbance, self.gains, self.packed]
+        return {
+            "q_bar": self.q_bar,
+            "flow": self.flow,
+            "disturbance": self.disturbance,
+            "gains": self.gains,
+            "values": self.packed,
+        }
 
     @property
     def loop(self) -> InnerLoop:
@@ -77,85 +96,162 @@ class _Reached:
     by_state: ca.SX
     by_command: ca.SX
 
+    @classmethod
+    def start(cls, x: ca.SX) -> Self:
+        """The period's first state."""
+        segments = x.numel() // 2
+        return cls(x, ca.SX.eye(2 * segments), ca.SX.zeros(2 * segments, segments))
+
+
+@dataclass(frozen=True)
+class PeriodSteps:
+    """How a control period is integrated by the predictor."""
+
+    period: float
+    """In s."""
+    substeps: int
+    """Extrapolated steps that make a period."""
+    columns: int
+    """K, the order of the extrapolation."""
+
+    @classmethod
+    def of(cls, parameters: NmpcParameters) -> Self:
+        """Those that the parameters ask for."""
+        return cls(parameters.control_period, parameters.substeps, parameters.extrapolation_columns)
+
+
+def extrapolation_weights(columns: int) -> NDArray[np.float64]:
+    r"""Weights of the ends T_1, ... T_K in the extrapolation, (K,).
+
+    .. math:: w_j = \prod_{i \ne j} \frac{j}{j - i}
+    """
+    steps = np.arange(1.0, columns + 1)
+    others = steps[:, None] - steps + np.eye(columns)
+    factors = np.where(np.eye(columns) > 0, 1.0, steps[:, None] / others)
+    weights: NDArray[np.float64] = factors.prod(axis=1)
+    return weights
+
 
 @cache
-def stage_function(structure: Structure, period: float, substeps: int) -> ca.Function:
+def stage_function(structure: Structure, steps: PeriodSteps) -> ca.Function:
     """State, tip and their derivatives one control period later.
 
     Inputs: x = (q, qd); q_bar; flow of the period, expanded about its middle;
     disturbance, an additional generalised load; gains; values. Outputs: the next x;
-    A = dx+/dx; B = dx+/dq_bar; tip of the next state; its Jacobian by q; torque at the
-    start of the period; its derivatives by x and by q_bar.
+    A = dx+/dx; B = dx+/dq_bar; and those of ``period_function``.
     """
     n = structure.segments
     x = ca.SX.sym("x", 2 * n)
     held = _Period.symbolic(structure)
-    step = period / substeps
-    after = _Reached(x, ca.SX.eye(2 * n), ca.SX.zeros(2 * n, n))
-    for index in range(substeps):
-        after = _extrapolated(held, after, index * step - period / 2, step)
-    end = mechanics(structure, after.x[:n], after.x[n:], held.values)
-    outputs = [
-        after.x,
-        after.by_state,
-        after.by_command,
-        end.tips[-1],
-        end.tip_jacobian,
-        held.loop.torque(structure, held.values, held.q_bar, x),
-        held.loop.torque_by_state(),
-        held.loop.torque_by_command(structure, held.values, held.q_bar),
-    ]
-    return ca.Function(
-        "predictor_stage",
-        [x, *held.symbols],
-        ca.cse([ca.densify(output) for output in outputs]),
-        ["x", "q_bar", "flow", "disturbance", "gains", "values"],
-        [
-            *("next", "A", "B", "tip", "tip_jacobian"),
-            *("torque", "torque_by_state", "torque_by_command"),
-        ],
-    )
+    length = steps.period / steps.substeps
+    after = _Reached.start(x)
+    for index in range(steps.substeps):
+        start = index * length - steps.period / 2
+        after = _extrapolated(held, after, start, length, steps.columns)
+    outputs = {
+        "next": after.x,
+        "A": after.by_state,
+        "B": after.by_command,
+        **_period_outputs(held, x, after.x),
+    }
+    return _function("predictor_stage", {"x": x, **held.inputs}, outputs)
 
 
 @cache
-def rollout_function(
-    structure: Structure, period: float, substeps: int, horizon: int
-) -> ca.Function:
+def rollout_function(structure: Structure, steps: PeriodSteps, horizon: int) -> ca.Function:
     """``stage_function`` over a whole horizon in one call; columns are stages."""
-    return stage_function(structure, period, substeps).mapaccum("rollout", horizon)
+    return stage_function(structure, steps).mapaccum("rollout", horizon)
 
 
 @cache
 def step_function(structure: Structure) -> ca.Function:
-    """State after one linearly implicit step: the plant's, without derivatives.
+    """State after one linearly implicit step, without derivatives.
 
-    Inputs: x; q_bar; flow, expanded about the middle of the period; the time at the end of
-    the step from that middle; the step's length; gains; values.
+    Inputs: x; the time at the end of the step, from the middle of the period; the step's
+    length h; and as ``stage_function`` has them q_bar, flow, disturbance, gains, values.
     """
     n = structure.segments
     held = _Period.symbolic(structure)
     x, time, h = ca.SX.sym("x", 2 * n), ca.SX.sym("time"), ca.SX.sym("h")
-    step = _ImplicitStep(replace(held, disturbance=ca.SX.zeros(n)), x, time, h)
+    step = _ImplicitStep(held, x, time, h)
     change = -solve_symmetric(step.matrix(), step.residual(ca.SX.zeros(n)))
     rate = x[n:] + change
     reached = ca.vertcat(x[:n] + h * rate, rate)
-    inputs = [x, held.q_bar, held.flow, time, h, held.gains, held.packed]
-    names = ["x", "q_bar", "flow", "time", "h", "gains", "values"]
-    return ca.Function("plant_step", inputs, ca.cse([reached]), names, ["next"])
-
-
-def _extrapolated(held: _Period, first: _Reached, start: float, step: float) -> _Reached:
-    whole = _implicit_step(held, first, start, step)
-    half = _implicit_step(held, first, start, step / 2)
-    halves = _implicit_step(held, half, start + step / 2, step / 2)
-    return _Reached(
-        2 * halves.x - whole.x,
-        2 * halves.by_state - whole.by_state,
-        2 * halves.by_command - whole.by_command,
+    return _function(
+        "implicit_step", {"x": x, "time": time, "h": h, **held.inputs}, {"next": reached}
     )
 
 
-def _implicit_step(held: _Period, first: _Reached, time: float, h: float) -> _Reached:
+@cache
+def slopes_function(structure: Structure) -> ca.Function:
+    """Derivatives of ``step_function`` by x and by q_bar, from the same inputs."""
+    held = _Period.symbolic(structure)
+    x, time, h = ca.SX.sym("x", 2 * structure.segments), ca.SX.sym("time"), ca.SX.sym("h")
+    reached = _implicit_step(held, _Reached.start(x), time - h, h)
+    return _function(
+        "implicit_slopes",
+        {"x": x, "time": time, "h": h, **held.inputs},
+        {"A": reached.by_state, "B": reached.by_command},
+    )
+
+
+@cache
+def period_function(structure: Structure) -> ca.Function:
+    """What else the cost of a period needs.
+
+    Inputs: x; the next x; q_bar; gains; values. Outputs: tip of the next state; its
+    Jacobian by q; torque at the start of the period; its derivatives by x and by q_bar.
+    """
+    n = structure.segments
+    held = _Period.symbolic(structure)
+    x, after = ca.SX.sym("x", 2 * n), ca.SX.sym("next", 2 * n)
+    inputs = {name: held.inputs[name] for name in ("q_bar", "gains", "values")}
+    outputs = _period_outputs(held, x, after)
+    return _function("period_end", {"x": x, "next": after, **inputs}, outputs)
+
+
+def _period_outputs(held: _Period, x: ca.SX, after: ca.SX) -> dict[str, ca.SX]:
+    n = held.structure.segments
+    end = mechanics(held.structure, after[:n], after[n:], held.values)
+    return {
+        "tip": end.tips[-1],
+        "tip_jacobian": end.tip_jacobian,
+        "torque": held.loop.torque(held.structure, held.values, held.q_bar, x),
+        "torque_by_state": held.loop.torque_by_state(),
+        "torque_by_command": held.loop.torque_by_command(held.structure, held.values, held.q_bar),
+    }
+
+
+def _function(name: str, inputs: dict[str, ca.SX], outputs: dict[str, ca.SX]) -> ca.Function:
+    dense = [ca.densify(output) for output in outputs.values()]
+    return ca.Function(name, list(inputs.values()), ca.cse(dense), list(inputs), list(outputs))
+
+
+def _extrapolated(
+    held: _Period, first: _Reached, start: float, length: float, columns: int
+) -> _Reached:
+    ends = []
+    for parts in range(1, columns + 1):
+        h, end = length / parts, first
+        for part in range(parts):
+            end = _implicit_step(held, end, start + part * h, h)
+        ends.append(end)
+    weights = extrapolation_weights(columns)
+
+    def combined(parts: Iterable[ca.SX]) -> ca.SX:
+        weighted = (weight * part for weight, part in zip(weights, parts, strict=True))
+        return sum(weighted, start=ca.SX(0))
+
+    return _Reached(
+        combined(end.x for end in ends),
+        combined(end.by_state for end in ends),
+        combined(end.by_command for end in ends),
+    )
+
+
+def _implicit_step(
+    held: _Period, first: _Reached, time: ca.SX | float, h: ca.SX | float
+) -> _Reached:
     """One linearly implicit step from ``time``, with derivatives.
 
     The step solves W d = r for the change d of the rates. Its derivative is

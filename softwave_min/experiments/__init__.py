@@ -19,7 +19,11 @@ NAMES = (
     "setpoints",
     "actuator_failure",
     "star",
+    "star_drag",
     "random_seas",
+    "ablations",
+    "open_points",
+    "star_sweep",
 )
 
 

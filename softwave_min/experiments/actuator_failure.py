@@ -23,7 +23,9 @@ from softwave_min.experiments.closed_loop import (
     LoopRun,
     closed_loops,
     failed_solves,
+    fallbacks,
     in_sea,
+    over_seas,
     prepare,
     realisations,
     settled_error,
@@ -196,7 +198,7 @@ def _rows(place: Place, arrays: RunArrays, cases: Sequence[str], period: float) 
             }
         yield row | {
             "solves_failed": failed_solves(data),
-            "fallbacks": int(np.count_nonzero(data["nmpc_source"])),
+            "fallbacks": fallbacks(data),
         }
 
 
@@ -311,7 +313,7 @@ def _rises(grid: pd.DataFrame) -> Iterator[tuple[str, str, pd.DataFrame]]:
 
 
 def _interval(name: str, values: Floats, prefix: str = "") -> Row:
-    low, middle, high = (float(one) for one in np.quantile(values, (0.05, 0.5, 0.95)))
+    low, middle, high = over_seas(values)
     return {name: middle, f"{prefix}low": low, f"{prefix}high": high}
 
 

@@ -27,7 +27,9 @@ from softwave_min.experiments.closed_loop import (
     LoopRun,
     closed_loops,
     failed_solves,
+    fallbacks,
     in_sea,
+    over_seas,
     prepare,
     realisations,
     settled_error,
@@ -65,8 +67,6 @@ RISES = (0.6, 0.0, -0.6, -1.2, -2.4, -4.8)
 """How far the held arm's base is raised, in m; the first takes a target at -4.3 m to -3.7 m."""
 SAMPLING = 0.4
 """Time between two loads on the held arm, in s: short against the shortest wave."""
-INTERVAL = (0.05, 0.5, 0.95)
-"""Quantiles over the random seas: a 90 % interval and its median."""
 
 
 @validated(frozen=True, config=ConfigDict(extra="forbid"))
@@ -169,12 +169,6 @@ def runs(parameters: ParameterSet) -> Sequence[Run]:
     """Both controllers at every place of the grid, and the arm held still."""
     loops = [cell.run for cell in cells(parameters)]
     return [*loops, *(run for _, run in held_arms(parameters))]
-
-
-def _prepare(run: Run) -> None:
-    """Compile for the closed loops; the held arm needs nothing."""
-    if isinstance(run.parameters, LoopRun):
-        prepare(run)
 
 
 def held_loads(held: HeldArm) -> dict[str, NDArray[Any]]:
@@ -303,7 +297,7 @@ def _errors(cell: Cell, data: Mapping[str, NDArray[Any]]) -> Row:
         "e_pd": pd_,
         "ratio": mpc / pd_,
         "solves_failed": failed_solves(data),
-        "fallbacks": int(np.count_nonzero(data["nmpc_source"])),
+        "fallbacks": fallbacks(data),
         "e_mpc_settled": late_mpc,
         "e_pd_settled": late_pd,
         "ratio_settled": late_mpc / late_pd,
@@ -360,7 +354,7 @@ def headline(table: pd.DataFrame, column: str = "ratio") -> pd.DataFrame:
     for wave, grid in grids.items():
         published = _published(wave)
         for quantity, values in _per_seed(grid, column).items():
-            low, median, high = (float(value) for value in np.quantile(values, INTERVAL))
+            low, median, high = over_seas(values)
             rows.append(
                 {
                     "wave": wave,
@@ -600,5 +594,5 @@ EXPERIMENT = Experiment(
     claims=("C01", *(f"C{number}" for number in range(30, 44))),
     runs=runs,
     tabulate=tabulate,
-    prepare=_prepare,
+    prepare=prepare,
 )

@@ -16,16 +16,11 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass as validated
 
-from softwave_min.experiments.closed_loop import TRANSIENT, Controller, simulated
+from softwave_min.experiments.closed_loop import TRANSIENT, Controller, prepare, simulated
 from softwave_min.experiments.experiment import Experiment, RunArrays, Tables
 from softwave_min.experiments.paper import poses, wave_cases
 from softwave_min.parameters import ParameterSet, Positive, data_folder, read_toml, validate
-from softwave_min.simulation import (
-    ClosedLoop,
-    Scenario,
-    engine_or_none,
-    root_mean_square_error,
-)
+from softwave_min.simulation import ClosedLoop, Scenario, root_mean_square_error
 from softwave_min.store import Run
 from softwave_min.waves import BuoyRecord, Sea, measured_sea, named_records
 
@@ -224,5 +219,5 @@ EXPERIMENT = Experiment(
     claims=("C24", "C25", "C26", "C27", "C28", "C29"),
     runs=runs,
     tabulate=tabulate,
-    prepare=lambda run: engine_or_none(scenario_of(run.parameters)),
+    prepare=prepare,
 )

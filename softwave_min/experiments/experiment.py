@@ -18,10 +18,6 @@ Tables = Mapping[str, pd.DataFrame]
 RunArrays = Mapping[str, Mapping[str, NDArray[Any]]]
 
 
-def _nothing(_: Run) -> None:
-    """Prepare nothing."""
-
-
 @dataclass(frozen=True)
 class Tolerance:
     """How far a number may be off and count as reproduced: by the larger of the two."""
@@ -44,7 +40,7 @@ class Experiment:
     """The runs under a parameter set."""
     tabulate: Callable[[ParameterSet, RunArrays], Tables]
     """Summary tables by stem, from the arrays of all runs by name."""
-    prepare: Callable[[Run], object] = _nothing
+    prepare: Callable[[Run], object] | None = None
     """Called once with the first run, before processes share the work: compiles what
     all of them need."""
     tolerances: Mapping[str, Tolerance] = field(default_factory=dict)

@@ -27,9 +27,15 @@ from softwave_min.experiments.closed_loop import (
 )
 from softwave_min.experiments.paper import poses, wave_cases
 from softwave_min.parameters import Count, ParameterSet, Positive, data_folder, read_toml, validate
-from softwave_min.simulation import root_mean_square_error
+from softwave_min.simulation import SimulationError, root_mean_square_error
 
-__all__ = ["Cells", "HeadlineRun", "headline_cells", "headline_numbers"]
+__all__ = [
+    "Cells",
+    "HeadlineRun",
+    "attempted_numbers",
+    "headline_cells",
+    "headline_numbers",
+]
 
 
 @validated(frozen=True, config=ConfigDict(extra="forbid"))
@@ -87,6 +93,14 @@ def headline_numbers(run: HeadlineRun) -> dict[str, NDArray[Any]]:
     return {**found, "solves_failed": np.array(tally.failed)}
 
 
+def attempted_numbers(run: HeadlineRun) -> dict[str, NDArray[Any]]:
+    """`headline_numbers`, or under ``failure`` why the closed loops of the set cannot run."""
+    try:
+        return headline_numbers(run)
+    except (SimulationError, ArithmeticError, np.linalg.LinAlgError) as error:
+        return {"failure": np.array(str(error))}
+
+
 @dataclass
 class _Tally:
     """Closed loops so far, each run once, and the solves that did not converge."""
@@ -113,7 +127,7 @@ def _ratios(run: HeadlineRun, case: str, tally: _Tally) -> Iterator[float]:
 def _rises(run: HeadlineRun, case: str, tally: _Tally) -> Iterator[float]:
     for height in run.cells.failure_heights:
         intact = in_sea(run.parameters, case, height)
-        failed = with_failure(intact, run.cells.failed_segment, "passive")
+        failed = with_failure(intact, run.cells.failed_segment, run.parameters.failure.manner)
         for pose in run.cells.failure_poses:
             cell = LoopRun(intact, (poses()[pose],))
             before = tally.error(cell, "nmpc")

@@ -50,7 +50,7 @@ def _named(parameters: ParameterSet) -> Iterator[tuple[str, Run]]:
         for case in CASES:
             run = place.run(case)
             yield run.name, run
-    for run in star.runs_in_seas(parameters):
+    for run in star.runs(parameters):
         yield f"star-{run.name}", run
 
 
@@ -101,17 +101,12 @@ def _places(grid: pd.DataFrame) -> pd.DataFrame:
     return table
 
 
-def _prepare(run: Run) -> None:
-    if isinstance(run.parameters, LoopRun):
-        prepare(run)
-
-
 EXPERIMENT = Experiment(
     name="random_seas",
     title="The headline numbers over twenty random seas",
     claims=(),
     runs=runs,
     tabulate=tabulate,
-    prepare=_prepare,
+    prepare=prepare,
     on_request=True,
 )

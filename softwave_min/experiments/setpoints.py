@@ -387,18 +387,13 @@ def _pose_rows(name: str, arrays: RunArrays) -> Iterator[Row]:
         }
 
 
-def _prepare(run: Run) -> None:
-    if isinstance(run.parameters, ParameterSet):
-        prepare(Run(run.name, closed_loops, LoopRun(run.parameters, tuple(poses().values()))))
-
-
 EXPERIMENT = Experiment(
     name="setpoints",
     title="Postures at the paper's poses and the workspace, with and without a failed segment",
     claims=("C15", "C16", "C17", "C18", "C19", "C20", "C44", "C45", "C46", "C47", "C70"),
     runs=runs,
     tabulate=tabulate,
-    prepare=_prepare,
+    prepare=prepare,
     tolerances={
         # A cell of the map more or less, as rounding decides.
         "area": Tolerance(absolute=2e-3),

@@ -13,6 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from softwave_min.experiments.actuator_failure import ALL, PAPERS_CASE, choice
+from softwave_min.experiments.closed_loop import INTERVAL
 from softwave_min.experiments.setpoints import CASES
 from softwave_min.figures.style import BLUE, GREY, INK, ORANGE, SKY, Drawing
 from softwave_min.parameters import ParameterSet
@@ -113,7 +114,7 @@ def _bars(axes: Axes, here: pd.DataFrame, cases: Sequence[str], column: str) -> 
     width = 0.8 / len(cases)
     for index, case in enumerate(cases):
         over_seas = here[here["case"] == case].groupby("Hs")
-        low, middle, high = (over_seas[column].quantile(level) for level in (0.05, 0.5, 0.95))
+        low, middle, high = (over_seas[column].quantile(level) for level in INTERVAL)
         places = np.arange(len(heights)) + (index - (len(cases) - 1) / 2) * width
         face, hatch = LOOK[case]
         axes.bar(places, middle, width, facecolor=face, hatch=hatch, edgecolor=INK, linewidth=0.7)

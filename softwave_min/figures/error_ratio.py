@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from softwave_min.experiments.closed_loop import TRANSIENT
-from softwave_min.experiments.error_ratio import INTERVAL, paper
+from softwave_min.experiments.closed_loop import INTERVAL, TRANSIENT
+from softwave_min.experiments.error_ratio import paper
 from softwave_min.experiments.paper import poses, wave_cases
 from softwave_min.figures.style import DASHES, GREY, INK, ORANGE, SERIES, Drawing
 from softwave_min.parameters import ParameterSet

@@ -78,7 +78,9 @@ class _Stage:
     """The axes of the picture, and how the arms are put on them."""
 
     def __init__(self, arm: Arm, sea: Sea, sides: tuple[Side, Side]) -> None:
-        self._arm, self._sea, self._sides = arm, sea, sides
+        self._base, self._sea, self._sides = arm.parameters.base_position, sea, sides
+        # Of all instants at once, which costs hardly more than of one.
+        self._bodies = [arm.axis(side.loop.q) for side in sides]
         self.figure: Figure = plt.figure(figsize=(8.0, 4.96), dpi=100)
         grid = self.figure.add_gridspec(2, 2, height_ratios=(1.0, 3.2))
         self._wave = self.figure.add_subplot(grid[0, :])
@@ -104,9 +106,9 @@ class _Stage:
         """Lay the postures of every second over each other, with the path of the tip."""
         every = round(1.0 / self.period)
         first, last = (round(instant / self.period) for instant in WINDOW)
-        for view, side in zip(self._views, self._sides, strict=True):
-            for axis in self._arm.axis(side.loop.q[first:last:every]):
-                view.plot(*axis.T, color=side.colour, linestyle="-", linewidth=2.2, alpha=0.22)
+        for view, side, bodies in zip(self._views, self._sides, self._bodies, strict=True):
+            for body in bodies[first:last:every]:
+                view.plot(*body.T, color=side.colour, linestyle="-", linewidth=2.2, alpha=0.22)
             tips = side.loop.tips[first:last, -1]
             view.plot(*tips.T, color=INK, linestyle="-", linewidth=0.7)
 
@@ -115,9 +117,11 @@ class _Stage:
         instant = index * self.period
         self._cursor.set_xdata([instant, instant])
         first = round(WINDOW[0] / self.period)
-        for side, (arrows, body, trail) in zip(self._sides, self._moving, strict=True):
+        for side, bodies, (arrows, body, trail) in zip(
+            self._sides, self._bodies, self._moving, strict=True
+        ):
             arrows.set_UVC(*self._sea.velocity(arrows.X, arrows.Y, instant))
-            body.set_data(*self._arm.axis(side.loop.q[index]).T)
+            body.set_data(*bodies[index].T)
             trail.set_data(*side.loop.tips[max(first, index - 30) : index + 1, -1].T)
         # Axes and labels are drawn once: that is nearly all of the work.
         if self._backdrop is None:
@@ -136,8 +140,7 @@ class _Stage:
     def _furnish(self, view: Axes, side: Side) -> None:
         view.set_aspect("equal")
         view.set(xlim=VIEW[:2], ylim=VIEW[2:], xlabel="x, m", ylabel="z, m", title=side.name)
-        x, z = self._arm.parameters.base_position
-        view.plot(x, z, marker="s", color=INK, markersize=7)
+        view.plot(*self._base, marker="s", color=INK, markersize=7)
         view.plot(*side.loop.target[-1], marker="x", color=INK, markersize=11, zorder=5)
 
     def _movable(self, view: Axes, side: Side) -> tuple[Quiver, Line2D, Line2D]:

@@ -6,6 +6,7 @@ import matplotlib.pyplot as plt
 import pandas as pd
 from matplotlib.axes import Axes
 
+from softwave_min.experiments.actuator_failure import PAPERS_CASE
 from softwave_min.figures.style import INK, ORANGE, SKY, Drawing
 from softwave_min.parameters import ParameterSet
 from softwave_min.store import Store
@@ -25,9 +26,7 @@ def draw(store: Store, parameters: ParameterSet) -> dict[str, Drawing]:  # noqa:
         _intervals(one, rows["wave"], rows)
         one.set_title(f"({'ab'[quantity == 'smallest']}) {quantity}\nreduction, %")
     failing = rises[
-        (rises["case"] == "mid_passive")
-        & (rises["reading"] == "mean")
-        & (rises["window"] == "whole")
+        (rises["case"] == PAPERS_CASE) & (rises["reading"] == "mean") & (rises["window"] == "whole")
     ]
     _intervals(axes[2], failing["wave"], failing.rename(columns={"rise": "median"}))
     axes[2].set_title("(c) rise with failed\nsegment, %")

@@ -1,4 +1,4 @@
-"""The paper's Fig. star_trajectory, the errors in all seas, and the sweep over stars."""
+"""The paper's Fig. star_trajectory, and the errors in all seas."""
 
 from __future__ import annotations
 
@@ -13,14 +13,8 @@ from numpy.typing import NDArray
 
 from softwave_min.arm import Arm
 from softwave_min.experiments.closed_loop import TRANSIENT
-from softwave_min.experiments.star import (
-    CONTROLLERS,
-    EXPERIMENT,
-    STILL,
-    TOLERANCE,
-    choice,
-)
-from softwave_min.experiments.star_path import StarParameters, star_vertices
+from softwave_min.experiments.star import CONTROLLERS, EXPERIMENT, STILL, choice
+from softwave_min.experiments.star_path import star_vertices
 from softwave_min.figures.style import BLUE, DASHES, GREY, INK, ORANGE, SKY, Drawing
 from softwave_min.parameters import ParameterSet
 from softwave_min.store import Store
@@ -32,24 +26,16 @@ RunData = Mapping[str, NDArray[Any]]
 SHOWN_EVERY = 12.0
 """Time between two postures of the arm, in s."""
 NAMES = {"baseline": "feed-forward + PD", "nmpc": "NMPC"}
-SHOWN_MEASURES = {
-    "rmse": ("o", "RMSE of the distance, whole run"),
-    "rmse_settled": ("s", f"the same after {TRANSIENT:.0f} s"),
-    "cross_track": ("D", "RMSE of the distance to the star's edges"),
-    "largest_settled": ("^", f"largest distance after {TRANSIENT:.0f} s"),
-    "root_integral_square": ("x", r"$(\int e^2\,\mathrm{d}t)^{1/2}$, m s$^{1/2}$"),
-}
 
 
 def draw(store: Store, parameters: ParameterSet) -> dict[str, Drawing]:
-    """The paper's four panels, the errors over the seas, and the sweep."""
+    """The paper's four panels, and the errors over the seas."""
     runs = {run.name: run for run in EXPERIMENT.runs(parameters)}
     with_waves = store.load_run(runs[f"{choice().case}-{parameters.sea.seed}"])
     calm = store.load_run(runs[STILL])
     return {
         "star_trajectory": _trajectory(with_waves, calm, parameters),
         "errors": _errors(store.read_table("star"), store.read_table("headline")),
-        "sweep": _sweep(store.read_table("sweep")),
     }
 
 
@@ -233,67 +219,3 @@ def _in_words(headline: pd.DataFrame, measure: str, waves: list[str]) -> str:
         f"{NAMES[controller]} " + " / ".join(f"{medians[controller, wave]:.3f}" for wave in waves)
         for controller in CONTROLLERS
     )
-
-
-def _sweep(table: pd.DataFrame) -> Drawing:
-    """One line per star: its measures in the sea drawn, against the paper's numbers."""
-    chosen = choice()
-    keys = ["drawing", "manner", "laps", "previewed", "outer_radius"]
-    stars = table.groupby(keys, sort=False)
-    figure, axes = plt.subplots(figsize=(7.0, 6.4))
-    quoted = np.array(list(chosen.rmse.values()))
-    axes.axvspan(
-        quoted.min() * (1 - TOLERANCE), quoted.max() * (1 + TOLERANCE), color="#ececec", zorder=0
-    )
-    axes.axvspan(quoted.min(), quoted.max(), color="#cfcfcf", zorder=0)
-    labels = []
-    for row, (key, group) in enumerate(stars):
-        values = group.set_index("measure")
-        for measure, (marker, _) in reversed(SHOWN_MEASURES.items()):
-            agrees = bool(values.candidate[measure])
-            axes.plot(
-                values[chosen.case][measure], row, marker, color=BLUE if agrees else INK,
-                markerfacecolor=BLUE if agrees else "white", markersize=9 if agrees else 5,
-                markeredgecolor="white" if agrees and marker != "x" else None,
-            )  # fmt: skip
-        failed = int(group.solves_failed.iloc[0])
-        nominal = "nominal: " if key == _key(chosen.path) else ""
-        labels.append(nominal + _described(key) + (f" [{failed}]" if failed else ""))
-    for marker, label in SHOWN_MEASURES.values():
-        axes.plot([], [], marker, color=INK, markerfacecolor="white", label=label)
-    axes.set_yticks(range(len(labels)), labels)
-    axes.invert_yaxis()
-    axes.set_xscale("log")
-    axes.set_xlabel(f"measure of the error in {chosen.case}, m")
-    figure.legend(loc="outside upper center", ncols=2)
-    agreeing = int(table.candidate.sum())
-    return Drawing(
-        figure,
-        caption=(
-            "Which star gives the paper's numbers? One line per star: its drawing, how it is "
-            "followed, laps in a run, whether the NMPC is told the coming path (else the next "
-            "point is held over the horizon), outer radius; in brackets the solves that did not "
-            f"converge. Marks: measures of the error in {chosen.case}. Dark band: the paper's "
-            f"numbers; light band: {100 * TOLERANCE:.0f} % beyond them. Large filled marks: within "
-            f"{100 * TOLERANCE:.0f} % of the paper's number in each of the three seas "
-            f"({agreeing} of all {len(table)} combinations of star and measure)."
-        ),
-        alt=(
-            f"A chart with {len(labels)} lines and {len(SHOWN_MEASURES)} kinds of marks on a "
-            "logarithmic axis. Followed along its edges with preview, a star within reach is left "
-            "of the band of the paper's numbers by nearly every measure that is a length. Longer "
-            "jumps and a reference that is held over the horizon move the marks to the right."
-        ),
-    )
-
-
-def _key(star: StarParameters) -> tuple[Any, ...]:
-    return star.drawing, star.manner, star.laps, True, star.outer_radius
-
-
-def _described(key: Any) -> str:
-    drawing, manner, laps, previewed, radius = key
-    how = "along edges" if manner == "edges" else "by jumps"
-    told = "told" if previewed else "held"
-    laps_in_words = f"{laps} lap{'s' if laps > 1 else ''}"
-    return f"{drawing.replace('_', ' ')}, {how}, {laps_in_words}, {told}, {radius:.2f} m"

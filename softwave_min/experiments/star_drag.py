@@ -1,0 +1,107 @@
+"""The star with and without drag: is drag why its error hardly depends on the period (C69)?
+
+An explanation is tested by taking its cause away. The load is the textbook's in both cases,
+because the paper's without its drag would be none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from softwave_min.experiments.closed_loop import (
+    TRANSIENT,
+    failed_solves,
+    fallbacks,
+    in_sea,
+    prepare,
+    realisations,
+    simulated,
+)
+from softwave_min.experiments.experiment import Experiment, RunArrays, Tables
+from softwave_min.experiments.paper import wave_cases
+from softwave_min.experiments.star import StarRun, choice, scenario_of
+from softwave_min.parameters import ParameterSet
+from softwave_min.simulation import root_mean_square_error
+from softwave_min.store import Run
+
+__all__ = ["EXPERIMENT", "LOADS", "follow", "loaded"]
+
+LOADS = ("with drag", "without drag")
+
+
+def loaded(parameters: ParameterSet, load: str) -> ParameterSet:
+    """The parameters with the textbook's load, whole or without its drag and friction."""
+    fluid = replace(parameters.fluid, morison="textbook")
+    if load == LOADS[1]:
+        fluid = replace(fluid, drag_coefficient=0.0, friction_coefficient=0.0)
+    return replace(parameters, fluid=fluid)
+
+
+def follow(run: StarRun) -> dict[str, NDArray[Any]]:
+    """Follow the star under NMPC; ``nmpc_<field>`` with tip and target (T + 1, 2) in m."""
+    loop = simulated(scenario_of(run.parameters, run.star), "nmpc")
+    return {
+        "nmpc_tip": loop.tips[:, -1],
+        "nmpc_target": loop.target,
+        "nmpc_status": loop.status,
+        "nmpc_source": loop.source,
+    }
+
+
+def _cases(parameters: ParameterSet) -> Iterator[tuple[str, str, ParameterSet]]:
+    """Load, wave case, and the parameters with both, for every random sea."""
+    height = choice().significant_height
+    for one in realisations(parameters):
+        for load in LOADS:
+            for case in wave_cases():
+                yield load, case, in_sea(loaded(one, load), case, height)
+
+
+def _name(load: str, case: str, parameters: ParameterSet) -> str:
+    return f"{load.replace(' ', '-')}-{case}-{parameters.sea.seed}"
+
+
+def runs(parameters: ParameterSet) -> Sequence[Run]:
+    """The nominal star in each sea, under each load."""
+    path = choice().path
+    return [
+        Run(_name(load, case, one), follow, StarRun(one, path))
+        for load, case, one in _cases(parameters)
+    ]
+
+
+def tabulate(parameters: ParameterSet, arrays: RunArrays) -> Tables:
+    """One row per load, wave case and sea: RMSE in m, over the run and after the start."""
+    start = round(TRANSIENT / parameters.nmpc.control_period)
+    rows = []
+    for load, case, one in _cases(parameters):
+        found = arrays[_name(load, case, one)]
+        error = np.linalg.norm(found["nmpc_tip"] - found["nmpc_target"], axis=1)
+        rows.append(
+            {
+                "load": load,
+                "wave": case,
+                "seed": one.sea.seed,
+                "rmse": root_mean_square_error(error),
+                "rmse_settled": root_mean_square_error(error[start:]),
+                "solves_failed": failed_solves(found),
+                "fallbacks": fallbacks(found),
+            }
+        )
+    return {"star_drag": pd.DataFrame(rows)}
+
+
+EXPERIMENT = Experiment(
+    name="star_drag",
+    title="The star under NMPC with and without drag, in three seas",
+    claims=("C69",),
+    runs=runs,
+    tabulate=tabulate,
+    prepare=prepare,
+)

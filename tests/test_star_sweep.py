@@ -1,0 +1,108 @@
+"""The stars beside the nominal one: which there are, and which come near the paper."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+import pytest
+
+from softwave_min.control.nmpc import Problem
+from softwave_min.experiments import star
+from softwave_min.experiments.star import METRICS, STILL, choice, follow, measures
+from softwave_min.experiments.star_sweep import (
+    EXPERIMENT,
+    TOLERANCE,
+    HeldReference,
+    SweepRun,
+    try_variant,
+    variants,
+)
+from softwave_min.figures.star_sweep import draw
+from softwave_min.figures.style import apply, svg
+
+
+@pytest.fixture(scope="module")
+def short(nominal):
+    """Twelve seconds, in the first sea only."""
+    simulation = replace(nominal.simulation, duration=12.0)
+    return replace(nominal, simulation=simulation, sea=replace(nominal.sea, realisations=1))
+
+
+@pytest.fixture(scope="module")
+def table(short):
+    arrays = {run.name: run.compute(run.parameters) for run in EXPERIMENT.runs(short)}
+    return EXPERIMENT.tabulate(short, arrays)["star_sweep"]
+
+
+def test_sweep_holds_the_nominal_star_and_no_star_twice():
+    nominal, found = choice().path, variants()
+    assert [one.star for one in found if one.previewed].count(nominal) == 1
+    assert len({one.name for one in found}) == len(found)
+    time = nominal.laps * nominal.lap_duration
+    assert all(one.star.laps * one.star.lap_duration == pytest.approx(time) for one in found)
+
+
+def test_nominal_star_of_the_sweep_is_the_nominal_run(short, table):
+    found = {run.name: follow(run.parameters) for run in star.runs(short)}
+    nominal = star.star_table(short, found)
+    nominal = nominal[nominal.controller == "nmpc"].set_index("wave")
+    own = choice().path
+    for name in ("outer_radius", "drawing", "manner", "laps"):
+        table = table[table[name] == getattr(own, name)]
+    swept = table[table.previewed].set_index("measure")
+    for wave in (STILL, "W3"):
+        found = [swept[wave][metric] for metric in METRICS]
+        assert found == pytest.approx([nominal[metric][wave] for metric in METRICS], rel=1e-9)
+
+
+def test_candidates_are_near_the_paper_in_every_sea(table):
+    sweep, paper = table, pd.Series(choice().rmse)
+    apart = (sweep[paper.index].astype(float) - paper).abs() / paper
+    np.testing.assert_allclose(sweep.deviation, apart.max(axis=1))
+    complete = sweep[paper.index].notna().all(axis=1)
+    assert (sweep.candidate == (complete & (apart <= TOLERANCE).all(axis=1))).all()
+
+
+def test_candidates_and_failed_solves_are_seen_in_the_figure(short, table):
+    def drawn(rows):
+        shelf = SimpleNamespace(read_table=lambda _: rows)
+        return draw(shelf, short)["star_sweep"]
+
+    apply()
+    none = drawn(table.assign(candidate=False))
+    assert "(0 of all" in none.caption
+    assert none.alt
+    one = table.assign(candidate=table.index == 0)
+    assert svg(drawn(one)) != svg(none)
+    assert "(1 of all" in drawn(one).caption
+    (axes,) = drawn(table.assign(solves_failed=7)).figure.axes
+    assert all("[7]" in label.get_text() for label in axes.get_yticklabels())
+    plt.close("all")
+
+
+def test_held_reference_is_the_next_point():
+    class Asked:
+        def solve(self, problem, guess):
+            self.problem = problem
+            return guess
+
+    asked = Asked()
+    reference = np.arange(8.0).reshape(4, 2)
+    problem = Problem(np.zeros(6), np.zeros(3), reference, forecast=None)
+    assert HeldReference(asked).solve(problem, "guess") == "guess"
+    np.testing.assert_array_equal(asked.problem.reference, np.tile([0.0, 1.0], (4, 1)))
+    np.testing.assert_array_equal(problem.reference, reference)
+
+
+def test_other_seas_are_run_only_for_what_may_agree(short):
+    """A hopeless star is seen in still water and one sea, a hopeful one in all."""
+    variant = next(one for one in variants() if one.star == choice().path)
+    run = SweepRun(short, variant, 3.0, (("W1", 50.0), ("W2", 50.0), ("W3", 50.0)))
+    hopeless = try_variant(run)
+    assert {name for name in hopeless if name.endswith("tip")} == {"still_tip", "W3_tip"}
+    first = measures(variant.star, hopeless, "W3", 0.1)["rmse"]
+    hopeful = try_variant(replace(run, paper=(("W1", 50.0), ("W2", 50.0), ("W3", 1.1 * first))))
+    assert {"W1_tip", "W2_tip"} < hopeful.keys()
+    np.testing.assert_array_equal(hopeful["W3_tip"], hopeless["W3_tip"])
