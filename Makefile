@@ -28,7 +28,7 @@ export IPYTHONDIR := $(CURDIR)/.venv/ipython
 export JUPYTER_PREFER_ENV_PATH := 1
 
 .PHONY: all help environment computed results figures notebooks book lab bench test verify \
-	seeds stars calibration sensitivity mutation lock clean distclean
+	seeds audit calibration sensitivity mutation lock clean distclean
 
 all: book ## All that follows down to the book, then a comparison with the committed tables
 	@$(PY) -m softwave_min compare
@@ -78,8 +78,8 @@ verify: environment ## Compute everything once more, elsewhere, and compare with
 seeds: environment ## The headline numbers in 20 random seas: up to a quarter of an hour
 	@$(PY) -m softwave_min run random_seas
 
-stars: environment ## Other stars than ours: which of them give the paper's error; a minute
-	@$(PY) -m softwave_min run star_sweep
+audit: environment ## All that is computed on request: seas, stars, readings, ablations; half an hour
+	@$(PY) -m softwave_min run random_seas star_sweep star_drag ablations open_points
 
 calibration: environment ## Search for the parameters that come closest to the paper's numbers
 	@$(PY) -m softwave_min calibrate

@@ -23,7 +23,7 @@ from softwave_min.parameters import data_folder
 NOMINAL = data_folder() / "parameters" / "calibrated.toml"
 TARGETS = {
     "all", "results", "notebooks", "book", "figures", "lab", "bench", "verify", "lock", "clean",
-    "help", "test", "environment", "mutation", "seeds", "stars", "calibration", "sensitivity",
+    "help", "test", "environment", "mutation", "seeds", "audit", "calibration", "sensitivity",
 }  # fmt: skip
 
 

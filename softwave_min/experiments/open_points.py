@@ -51,7 +51,7 @@ __all__ = [
 Floats = NDArray[np.float64]
 Numbers = Mapping[str, NDArray[Any]]
 
-OFFSETS = (0, 7, 14)
+OFFSETS = (0, 7)
 """Seas in which a reading is measured, counted from the nominal seeds of phases and noise.
 They lie apart: a switch to the next seed must not meet the same seas again."""
 SCATTER_SEAS = 20

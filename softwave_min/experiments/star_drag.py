@@ -104,4 +104,5 @@ EXPERIMENT = Experiment(
     runs=runs,
     tabulate=tabulate,
     prepare=prepare,
+    on_request=True,
 )
