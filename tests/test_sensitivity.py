@@ -9,9 +9,9 @@ from SALib.analyze import morris
 from SALib.test_functions import Ishigami
 from scipy.stats import qmc
 
-from softwave_min.experiments.headlines import HeadlineRun, headline_cells, headline_numbers
+from softwave_min.experiments.headlines import headline_numbers
 from softwave_min.native import compiler
-from softwave_min.open_values import open_values, value_in, with_values
+from softwave_min.open_values import open_values, value_in
 from softwave_min.parameters import parameter_set
 from softwave_min.sensitivity import (
     NAME,
@@ -196,7 +196,7 @@ def test_seas_are_numbered_apart_and_noise_goes_with_them():
     assert len(set(unseen)) == settings.draws.sets
     assert not set(unseen) & {one.sea for one in screened}
     for one in tested[:3]:
-        found = one.run(settings.base).parameters.parameters
+        found = one.run(settings).parameters.parameters
         assert found.sea.seed - base.sea.seed == found.preview.seed - base.preview.seed == one.sea
 
 
@@ -336,10 +336,11 @@ def test_the_tables_of_the_record_follow_from_its_evaluations():
 
 @pytest.mark.skipif(compiler() is None, reason="takes minutes without a compiler")
 def test_an_evaluation_of_the_record_is_found_again():
+    settings = study_settings()
+    chosen = important(RECORD.read_table("screening"), settings)
     row = tables.judged(RECORD.read_table("draw_evaluations")).iloc[0]
-    base = parameter_set(study_settings().base)
-    again = with_values(base, row[FIELDS].to_dict())
-    found = headline_numbers(HeadlineRun(again, headline_cells()))
+    (one,) = (one for one in samples.draws(settings, chosen) if one.name == row["sample"])
+    found = headline_numbers(one.run(settings).parameters)
     for number in number_names(row.to_frame().T):
         # Of the cells one more or less may be below one, where it is close to it.
         least = 0.0 if number.startswith("star") else 9.0 if number.startswith("cells") else 0.5

@@ -89,6 +89,9 @@ class Study:
 
     seed: Seed
     base: str
+    iterations: Count
+    """Most per solve: in sets far from the nominal one many solves would take all they are given,
+    for a closed loop that hardly differs."""
     confidence: Positive
     screening: Screening
     important: Important
@@ -122,11 +125,12 @@ class Sample:
     """Offset of the seeds."""
     drawn: str = ""
 
-    def run(self, base: str) -> Run:
+    def run(self, settings: Study) -> Run:
         """Its run: the base set with these values, in this sea."""
-        parameters = with_values(parameter_set(base), self.values)
+        parameters = with_values(parameter_set(settings.base), self.values)
         parameters = replace(
             parameters,
+            nmpc=replace(parameters.nmpc, max_iterations=settings.iterations),
             sea=replace(parameters.sea, seed=parameters.sea.seed + self.sea),
             preview=replace(parameters.preview, seed=parameters.preview.seed + self.sea),
         )

@@ -58,7 +58,7 @@ def investigate(store: Store, workers: Workers, settings: Study) -> list[str]:
 
 def _evaluate(samples: Sequence[Sample], store: Store, workers: Workers, settings: Study) -> None:
     """Judge the sets that are missing, and write the tables of all."""
-    runs = [sample.run(settings.base) for sample in samples]
+    runs = [sample.run(settings) for sample in samples]
     step = Experiment(
         name=store.experiment,
         title="What the headline numbers hang on",
