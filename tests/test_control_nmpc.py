@@ -16,6 +16,7 @@ from softwave_min.control.preview import Forecast
 from softwave_min.experiments.paper import poses, wave_cases
 from softwave_min.native import compiler
 from softwave_min.parameters import FailureParameters
+from softwave_min.plant import ExtrapolatedPlant
 from softwave_min.simulation import NmpcController, Scenario, plant_of, preview_of
 from softwave_min.waves import Sea
 
@@ -113,6 +114,40 @@ def test_the_engine_takes_the_steps_of_the_numpy_solver(nominal):
         np.testing.assert_allclose(ours.inputs, theirs.inputs, rtol=0, atol=1e-9)
         assert ours.cost == pytest.approx(theirs.cost, rel=1e-9)
         assert (ours.status, ours.iterations) == (theirs.status, theirs.iterations)
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    ("horizon", "substeps", "columns"), [(1, 1, 3), (8, 1, 2), (9, 2, 1), (2, 1, 5), (3, 2, 2)]
+)
+def test_the_engine_takes_any_number_of_periods_steps_and_columns(
+    nominal, horizon, substeps, columns
+):
+    numerics = {"substeps": substeps, "extrapolation_columns": columns}
+    scenario = scenario_at(nominal, horizon=horizon, terminal_weight=1.0, **numerics)
+    numpy_solver, engine = solvers(scenario)
+    rng = np.random.default_rng(horizon)
+    for _ in range(3):
+        problem, guess = random_problem(scenario, rng)
+        ours, theirs = engine.solve(problem, guess), numpy_solver.solve(problem, guess)
+        np.testing.assert_allclose(ours.inputs, theirs.inputs, rtol=0, atol=1e-8)
+        assert ours.cost == pytest.approx(theirs.cost, rel=1e-9)
+        assert (ours.status, ours.iterations) == (theirs.status, theirs.iterations)
+
+
+@needs_compiler
+@pytest.mark.parametrize(("steps", "columns"), [(1, 1), (3, 2), (1, 5), (2, 8)])
+def test_the_engine_moves_the_plant_as_its_readable_twin(nominal, steps, columns):
+    numerics = {"extrapolated_steps": steps, "extrapolation_columns": columns}
+    simulation = replace(nominal.simulation, **numerics)
+    scenario = scenario_at(replace(nominal, simulation=simulation))
+    readable = ExtrapolatedPlant(scenario.arm, scenario.gains, simulation, 0.1)
+    _, engine = solvers(scenario)
+    rng = np.random.default_rng(columns)
+    for flow in scenario.flow[:30:10]:
+        state, q_bar = rng.normal(size=6), rng.normal(size=3)
+        expected = readable.advance(state, q_bar, flow)
+        np.testing.assert_allclose(engine.advance(state, q_bar, flow), expected, atol=1e-8)
 
 
 @needs_compiler
