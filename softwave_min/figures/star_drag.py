@@ -19,7 +19,7 @@ def draw(store: Store, parameters: ParameterSet) -> dict[str, Drawing]:  # noqa:
     """Both errors over the three seas."""
     table = store.read_table("star_drag")
     columns = {"rmse": "(a) whole run", "rmse_settled": "(b) after the start"}
-    figure, panels = plt.subplots(1, 2, figsize=(7.0, 2.5))
+    figure, panels = plt.subplots(1, 2, figsize=(7.0, 2.8))
     spreads = []
     for axes, (column, title) in zip(panels, columns.items(), strict=True):
         means = table.groupby(["load", "wave"], sort=False)[column].mean()
@@ -32,7 +32,9 @@ def draw(store: Store, parameters: ParameterSet) -> dict[str, Drawing]:  # noqa:
         axes.set_title(title)
         axes.grid(visible=False, axis="x")
     panels[0].set_ylabel("RMSE, m")
-    panels[0].legend()
+    figure.legend(
+        *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(LOADS)
+    )
     failed = int(table["solves_failed"].sum())
     caption = (
         "Error on the nominal star under NMPC with the textbook's load, with its drag and friction "
