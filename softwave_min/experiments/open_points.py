@@ -60,7 +60,7 @@ SLOW = ("nmpc.solver", "simulation.integrator")
 """Fields whose other values find the same loops by a method that is up to several hundred times
 slower: they are measured in `BRIEF` and in the first sea."""
 BRIEF_CELLS = Cells((("P3", 3.0),), ("P3",), (3.0,), headline_cells().failed_segment)
-BRIEF = 5.0
+BRIEF = 1.5
 """Duration of their loops, in s: it has the start, where the solvers work most."""
 ITERATIONS = 6
 """Most per solve: in sets far from the nominal one many solves would take all they are given,
