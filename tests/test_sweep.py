@@ -201,18 +201,20 @@ def sweeps(tmp_path):
         text=True,
     )
 
-    def answer(expected=str.isdecimal):
+    def answer(word):
+        """What follows the word on the next line that begins with it; sweeps print, too."""
         for line in server.stdout:
-            if expected(line.strip().removeprefix("-")):
-                return line.strip()
+            first, _, rest = line.strip().partition(" ")
+            if first == word:
+                return rest
         raise AssertionError("the server of sweeps has ended")
 
     def start(*arguments):
         print(*arguments, file=server.stdin, flush=True)
-        return psutil.Process(int(answer()))
+        return psutil.Process(int(answer("process")))
 
-    answer("ready".__eq__)
-    yield start, lambda: int(answer())
+    answer("ready")
+    yield start, lambda: int(answer("status"))
     server.kill()
     server.communicate()
 

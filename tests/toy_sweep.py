@@ -1,8 +1,9 @@
 """An experiment of many short runs, and a server that starts its sweep over and over.
 
 ``serve`` takes a line of arguments from standard input for each sweep, forks, and lets
-the copy run them as the command line would; it answers with the copy's process id. So a
-sweep that is to be killed at once starts at once. Workers import this module alone.
+the copy run them as the command line would; it answers with the copy's process id, and when it
+has ended with its exit status. So a sweep that is to be killed at once starts at once. Workers
+import this module alone.
 """
 
 from __future__ import annotations
@@ -95,5 +96,5 @@ def serve():
         if process == 0:
             os.setsid()  # so that it can be killed with its workers
             os._exit(main(line.split()))
-        print(process, flush=True)
-        print(os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]), flush=True)
+        print("process", process, flush=True)
+        print("status", os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]), flush=True)
