@@ -110,9 +110,9 @@ def test_the_search_goes_on_where_it_was_interrupted(tmp_path, monkeypatch):
     search = replace(search_settings(), population=6, generations=4)
     with Processes(1) as workers:
         monkeypatch.setattr(calibration, "headline_numbers", bowl)
-        straight = calibrate(Store("straight", tmp_path), workers, search)
+        straight = calibrate(Store("straight", tmp_path / "straight"), workers, search)
         monkeypatch.setattr(calibration, "headline_numbers", counted)
-        store = Store("resumed", tmp_path)
+        store = Store("resumed", tmp_path / "resumed")
         with pytest.raises(KeyboardInterrupt):
             calibrate(store, workers, search)
         resumed = calibrate(store, workers, search)
