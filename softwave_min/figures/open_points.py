@@ -19,6 +19,8 @@ from softwave_min.store import Store
 
 __all__ = ["draw"]
 
+APART = 5.0
+"""Ratio of neighbouring ticks at least."""
 PANELS: Mapping[str, tuple[str, float]] = {
     "largest_reduction": ("(a) largest\nreduction, points", 1.0),
     "lowest_reduction": ("(b) smallest\nreduction, points", 1.0),
@@ -101,9 +103,15 @@ def _panel(axes: Axes, changes: pd.DataFrame, fields: list[str], band: NDArray[n
 
 
 def _ticks(scatter: float, largest: float) -> list[float]:
-    """Zero, a round number within the linear part of the scale, and powers of ten beyond."""
+    """Zero, a round number within the linear part of the scale, and some far enough beyond."""
     power = math.floor(math.log10(scatter))
-    within = max(part * 10.0**power for part in (1, 2, 5) if part * 10.0**power <= scatter)
-    last = math.floor(math.log10(max(largest, scatter)))
-    ticks = [within, *(10.0**one for one in range(power + 1, last + 1))]
+    round_numbers = [
+        part * 10.0**one
+        for one in range(power, math.floor(math.log10(max(largest, scatter))) + 1)
+        for part in (1, 2, 5)
+    ]
+    ticks = [max(one for one in round_numbers if one <= scatter)]
+    for one in round_numbers:
+        if APART * ticks[-1] <= one <= largest:
+            ticks.append(one)
     return sorted([0.0, *ticks, *(-one for one in ticks)])
