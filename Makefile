@@ -55,7 +55,7 @@ book: notebooks ## Build the book if an input changed: book/_build/html/index.ht
 lab: computed ## Open the notebooks in JupyterLab
 	@$(PY) -m jupyterlab notebooks
 
-bench: environment ## Time the solvers beside their peers (installed apart), ten minutes; judge the bars
+bench: environment ## Time the solvers beside their peers (installed apart), 20 minutes; judge the bars
 	@$(PY) bench/run.py
 	$(PY) bench/plant_integrators.py
 	$(PY) bench/quadrature.py
@@ -78,7 +78,7 @@ verify: environment ## Compute everything once more, elsewhere, and compare with
 seeds: environment ## The headline numbers in 20 random seas: up to a quarter of an hour
 	@$(PY) -m softwave_min run random_seas
 
-audit: environment ## All that is computed on request: seas, stars, readings, ablations; half an hour
+audit: environment ## All that is computed on request: seas, stars, readings, ablations; an hour
 	@$(PY) -m softwave_min run random_seas star_sweep star_drag ablations open_points
 
 calibration: environment ## Search for the parameters that come closest to the paper's numbers
