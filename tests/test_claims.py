@@ -17,9 +17,11 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+import small_book
 from browser import browser_executable
 from playwright.sync_api import sync_playwright
 from pydantic import ValidationError
+from small_book import FILTERED
 
 from softwave_min import claims as audit
 from softwave_min.claims import (
@@ -750,14 +752,8 @@ def site(invented, tmp_path_factory):
         "{verdicts}`number/reproduced: number is; numbers are`.\n\n```{claims}\n```\n"
     )
     (source / "index.md").write_text(page)
-    (source / "conf.py").write_text(
-        f"import sys\nsys.path.insert(0, {str(ROOT / 'book' / '_ext')!r})\n"
-        "extensions = ['myst_parser', 'claims']\nnumfig = True\n"
-        f"html_static_path = [{str(ROOT / 'book' / '_static')!r}]\nhtml_js_files = ['claims.js']\n"
-    )
-    command = [sys.executable, "-m", "sphinx", "-q", source, folder / "site"]
-    answer = subprocess.run(command, capture_output=True, text=True, check=True)
-    return folder / "site" / "index.html", answer.stderr
+    pages, said = small_book.bound(folder, ["myst_parser", "claims"], **FILTERED)
+    return pages / "index.html", said
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from toy_sweep import install, toy
 
 from softwave_min import commands, compare, workers
 from softwave_min.command_line import main
-from softwave_min.experiments import NAMES
+from softwave_min.experiments import NAMES, experiment
 from softwave_min.experiments.experiment import Tolerance
 from softwave_min.identity import ROOT
 from softwave_min.parameters import data_folder
@@ -242,6 +242,12 @@ def test_a_second_run_computes_and_draws_nothing(toys):
     assert first[0].startswith("toy: 3 runs computed in")
     assert first[1:] == ["toy: figures drawn"]
     assert second == ["toy: up to date"]
+
+
+def test_make_audit_names_all_that_is_on_request():
+    recipe = (ROOT / "Makefile").read_text().partition("\naudit:")[2].splitlines()[1]
+    named = recipe.rpartition(" run ")[2].split()
+    assert sorted(named) == sorted(name for name in NAMES if experiment(name).on_request)
 
 
 def test_what_is_on_request_is_computed_when_named_and_only_then(toys):

@@ -5,15 +5,15 @@ from __future__ import annotations
 import json
 import re
 import shutil
-import subprocess
-import sys
 from dataclasses import replace
 
 import pandas as pd
 import pytest
+import small_book
 from browser import browser_executable
 from playwright.sync_api import sync_playwright
 from pydantic import ValidationError
+from small_book import FILTERED
 
 from softwave_min.experiments.open_points import GROUPS
 from softwave_min.identity import ROOT
@@ -205,14 +205,8 @@ def bound(folder, table=None):
     shutil.copyfile(BOOK / "register.md", source / "index.md")
     if table is not None:
         Store("open_points", source / "results").write_table("points", table)
-    (source / "conf.py").write_text(
-        f"import sys\nsys.path.insert(0, {str(BOOK / '_ext')!r})\n"
-        "extensions = ['myst_parser', 'register', 'drawing']\nnumfig = True\n"
-        f"html_static_path = [{str(BOOK / '_static')!r}]\nhtml_js_files = ['claims.js']\n"
-    )
-    command = [sys.executable, "-m", "sphinx", "-q", source, folder / "site"]
-    answer = subprocess.run(command, capture_output=True, text=True, check=True)
-    return folder / "site" / "index.html", answer.stderr
+    pages, said = small_book.bound(folder, ["myst_parser", "register", "drawing"], **FILTERED)
+    return pages / "index.html", said
 
 
 @pytest.fixture(scope="module")

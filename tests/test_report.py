@@ -10,6 +10,7 @@ import sys
 
 import pandas as pd
 import pytest
+import small_book
 from book_pages import Page
 
 from softwave_min.claims import FAILED, claims
@@ -67,16 +68,15 @@ def built(folder, table, effects=None):
     if effects is not None:
         (results / "open_points").mkdir()
         effects.to_csv(results / "open_points" / "points.csv", index=False)
-    extensions = ["sphinxcontrib.bibtex", "myst_parser", "quoted", "drawing", "report"]
-    (source / "conf.py").write_text(
-        f"import sys\nsys.path.insert(0, {str(BOOK / '_ext')!r})\n"
-        f"extensions = {[*extensions, 'claims', 'register']}\nnumfig = True\n"
-        "html_theme = 'sphinx_book_theme'\nbibtex_bibfiles = ['references.bib']\n"
-        "myst_enable_extensions = ['dollarmath']\n"
+    own = ["quoted", "drawing", "report", "claims", "register"]
+    pages, said = small_book.bound(
+        folder,
+        ["sphinxcontrib.bibtex", "myst_parser", *own],
+        html_theme="sphinx_book_theme",
+        bibtex_bibfiles=["references.bib"],
+        myst_enable_extensions=["dollarmath"],
     )
-    command = [sys.executable, "-m", "sphinx", "-q", source, folder / "site"]
-    answer = subprocess.run(command, capture_output=True, text=True, check=True)
-    return Page(folder / "site", folder / "site" / "report.html"), answer.stderr
+    return Page(pages, pages / "report.html"), said
 
 
 @pytest.fixture(scope="module")
