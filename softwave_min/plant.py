@@ -17,7 +17,8 @@ from scipy.integrate import solve_ivp
 
 from softwave_min.arm import Arm, Structure, Values, mechanics
 from softwave_min.control.baseline import InnerLoop
-from softwave_min.control.predictor import extrapolation_weights, step_function
+from softwave_min.control.implicit_step import step_function
+from softwave_min.control.predictor import command_function, extrapolation_weights
 from softwave_min.parameters import SimulationParameters
 
 __all__ = ["CvodesPlant", "ExtrapolatedPlant", "Plant", "RungeKuttaPlant", "rate_function"]
@@ -152,26 +153,31 @@ class ExtrapolatedPlant:
         period: float,
     ) -> None:
         self._step = step_function(arm.structure)
-        self._fixed = (np.zeros(arm.segments), gains, arm.values)
+        self._command = command_function(arm.structure)
+        self._constants = (gains, arm.values)
         self._count = parameters.extrapolated_steps
         self._weights = extrapolation_weights(parameters.extrapolation_columns)
         self._period = period
 
     def advance(self, state: Floats, q_bar: Floats, flow: Floats) -> Floats:
         """State one period later; see ``Plant``."""
+        torque, _ = self._command(q_bar, *self._constants)
+        held = (torque, flow, np.zeros(len(q_bar)), *self._constants)
         length = self._period / self._count
         for index in range(self._count):
             start = index * length - self._period / 2
-            state = self._extrapolated(state, q_bar, flow, start, length)
+            state = self._extrapolated(state, held, start, length)
         return state
 
     def _extrapolated(
-        self, state: Floats, q_bar: Floats, flow: Floats, start: float, length: float
+        self, state: Floats, held: tuple[ca.DM | Floats, ...], start: float, length: float
     ) -> Floats:
-        total = np.zeros_like(state)
+        total, n = np.zeros_like(state), len(state) // 2
         for parts, weight in enumerate(self._weights, start=1):
-            h, x = length / parts, state
+            h, q, rate = length / parts, state[:n], state[n:]
             for part in range(1, parts + 1):
-                x = self._step(x, start + part * h, h, q_bar, flow, *self._fixed).full().ravel()
-            total += weight * x
+                x = np.concatenate([q, rate])
+                rate = rate + self._step(x, start + part * h, h, *held).full().ravel()
+                q = q + h * rate
+            total += weight * np.concatenate([q, rate])
         return total

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from softwave_min.control.lanes import lane_code
+from softwave_min.control.summed import Summed
 from softwave_min.native import build, compiler
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="no C compiler")
@@ -14,9 +15,11 @@ pytestmark = pytest.mark.skipif(compiler() is None, reason="no C compiler")
 DOUBLES = ctypes.POINTER(ctypes.c_double)
 
 
-def evaluated(function, lanes, inputs, same=()):
+def evaluated(function, lanes, inputs, same=(), places=1):
     """Outputs of the compiled function for inputs (lanes, size), or (size,) where alike."""
-    library = ctypes.CDLL(str(build("lanes", {"lanes.c": lane_code(function, lanes, same)})))
+    code = lane_code(function, lanes, same, places)
+    library = ctypes.CDLL(str(build("lanes", {"lanes.c": code})))
+    function = function.plain() if isinstance(function, Summed) else function
     arrays = [np.ascontiguousarray(one.T, dtype=float) for one in inputs]
     outputs = [np.zeros((function.numel_out(i), lanes)) for i in range(function.n_out())]
     pointers = [
@@ -98,6 +101,33 @@ def test_an_input_that_is_alike_in_all_lanes_is_given_once():
     x_values = np.arange(12.0).reshape(4, 3)
     (found,) = evaluated(function, 4, [x_values, np.array([2.0])], same={"b"})
     np.testing.assert_array_equal(found, 2 * x_values)
+
+
+def integral(rule):
+    """A root of the integral of sin(a s) b / (1 + s^2), beside one that does not vary."""
+    place, sums = ca.SX.sym("place"), ca.SX.sym("sums", 3)
+    terms = ca.vertcat(ca.sin(a * place) * b / (1 + place**2), 0, b * ca.cos(a))
+    outputs = {"root": ca.sqrt(1 + sums[0] ** 2) + sums[1], "flat": sums[2] - a}
+    return Summed.of("integral", {"a": a, "b": b}, place, terms, sums, outputs, rule)
+
+
+@pytest.mark.parametrize(("arguments", "places"), [(8, 1), (2, 4), (4, 2), (2, 2), (1, 4)])
+@pytest.mark.parametrize("count", [1, 3, 4, 6])
+def test_a_quadrature_is_summed_whatever_the_places_at_once(arguments, places, count):
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    rule = [(float(s + 1) / 2, float(w) / 2) for s, w in zip(nodes, weights, strict=True)]
+    first, second = np.random.default_rng(5).normal(size=(2, arguments, 1))
+    root, flat = evaluated(integral(rule), arguments, [first, second], places=places)
+    sums = sum(w * np.sin(first * s) * second / (1 + s**2) for s, w in rule)
+    np.testing.assert_allclose(root, np.sqrt(1 + sums**2), rtol=1e-14)
+    np.testing.assert_allclose(flat, second * np.cos(first) - first, rtol=0, atol=1e-14)
+
+
+def test_what_does_not_depend_on_the_place_stands_before_the_loop():
+    before, _, after = lane_code(integral([(0.5, 1.0)]), 2, ()).partition("for (int round")
+    assert "cosine(t" in before.split("void integral")[1]
+    assert "sine(t" in after
+    assert "cosine(" not in after
 
 
 def test_what_is_not_known_is_refused():

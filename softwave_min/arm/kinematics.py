@@ -47,7 +47,7 @@ class BodyPoint:
     """Direction of the tangent, in rad."""
     derivatives: list[tuple[ca.SX, ca.SX, ca.SX]]
     """D_1, D_2, D_3 by each bending angle up to the point's own, in m/rad^m."""
-    angle_jacobian: ca.DM
+    angle_jacobian: ca.SX | ca.DM
     """(n,), derivative of the tangent's direction by q, dimensionless."""
     qd: ca.SX
     """(n,), rates of the bending angles, in rad/s."""
@@ -168,7 +168,9 @@ def _highest_by_recurrence(a: ca.SX, cosine: ca.SX, sine: ca.SX) -> tuple[ca.SX,
     return real, imaginary
 
 
-def body_point(base: BodyPoint, segment: int, q: ca.SX, length: ca.SX, s: float) -> BodyPoint:
+def body_point(
+    base: BodyPoint, segment: int, q: ca.SX, length: ca.SX, s: ca.SX | float
+) -> BodyPoint:
     """Motion of the point at ``s`` on a segment.
 
     Parameters
@@ -181,7 +183,7 @@ def body_point(base: BodyPoint, segment: int, q: ca.SX, length: ca.SX, s: float)
         Bending angles, in rad.
     length : SX
         Length of the segment, in m.
-    s : float
+    s : SX or float
         Place on the segment, 0 at its base and 1 at its tip.
     """
     zeroth, first, second, third = curvature_moments(s * q[segment])
@@ -200,7 +202,7 @@ def body_point(base: BodyPoint, segment: int, q: ca.SX, length: ca.SX, s: float)
         position=base.position + lever,
         angle=base.angle + s * q[segment],
         derivatives=[*upstream, own],
-        angle_jacobian=ca.DM([1.0] * segment + [s] + [0.0] * (q.numel() - segment - 1)),
+        angle_jacobian=ca.vertcat(*[1.0] * segment, s, *[0.0] * (q.numel() - segment - 1)),
         qd=base.qd,
     )
 

@@ -7,7 +7,7 @@ one set of functions serves all parameter sets.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -36,6 +36,7 @@ from softwave_min.parameters import ArmParameters, FluidParameters
 __all__ = [
     "LOAD_TERMS",
     "Mechanics",
+    "Rule",
     "Section",
     "Structure",
     "Values",
@@ -44,6 +45,8 @@ __all__ = [
 ]
 
 Floats = NDArray[np.float64]
+Rule = Sequence[tuple[ca.SX | float, ca.SX | float]]
+"""Places and weights of a quadrature on [0, 1]."""
 
 LOAD_TERMS = ("drag_normal", "drag_tangential", "fluid_inertia")
 """Loads of the water that do not depend on the arm's acceleration."""
@@ -69,10 +72,10 @@ class Structure:
         return 2 * (self.space_order + 1) * (self.time_order + 1)
 
     @cached_property
-    def quadrature(self) -> tuple[list[float], list[float]]:
+    def rule(self) -> list[tuple[float, float]]:
         """Places and weights of the Gauss-Legendre rule on [0, 1]."""
-        places, weights = np.polynomial.legendre.leggauss(self.quadrature_points)
-        return list((places + 1) / 2), list(weights / 2)
+        pairs = zip(*np.polynomial.legendre.leggauss(self.quadrature_points), strict=True)
+        return [(float(s + 1) / 2, float(weight) / 2) for s, weight in pairs]
 
 
 @dataclass(frozen=True)
@@ -224,7 +227,7 @@ class Mechanics:
     qd: ca.SX
     bases: list[BodyPoint]
     """Base of every segment and, last, the arm's tip."""
-    points: list[tuple[Section, BodyPoint, float, int]]
+    points: list[tuple[Section, BodyPoint, ca.SX | float, int]]
     """Quadrature points: section, motion, weight, and index of the segment."""
 
     @property
@@ -353,14 +356,16 @@ class Mechanics:
         return sum(terms, start=ca.SX(0))
 
 
-def mechanics(structure: Structure, q: ca.SX, qd: ca.SX, values: Values) -> Mechanics:
-    """The arm at (q, qd)."""
+def mechanics(
+    structure: Structure, q: ca.SX, qd: ca.SX, values: Values, rule: Rule | None = None
+) -> Mechanics:
+    """The arm at (q, qd), its integrals by a rule other than the structure's if one is given."""
     bases = segment_bases(q, qd, values.length, values.base_position, values.base_angle)
     sections = [Section.of(structure, values, segment) for segment in range(structure.segments)]
     points = [
         (sections[i], body_point(bases[i], i, q, values.length[i], s), weight, i)
         for i in range(structure.segments)
-        for s, weight in zip(*structure.quadrature, strict=True)
+        for s, weight in (structure.rule if rule is None else rule)
     ]
     return Mechanics(structure, values, q, qd, bases, points)
 

@@ -65,19 +65,28 @@ class InnerLoop:
             [gains.proportional_gain, gains.derivative_gain, 1.0 - failed, locked]
         )
 
+    def command_torque(self, structure: Structure, values: Values, q_bar: ca.SX) -> ca.SX:
+        """What the command adds to the torque: K q_bar + G(q_bar) + alpha q_bar, in N m."""
+        gravity = mechanics(structure, q_bar, ca.SX.zeros(q_bar.shape), values).gravity
+        return (values.stiffness + self.proportional) * q_bar + gravity
+
+    def command_slope(self, structure: Structure, values: Values, q_bar: ca.SX) -> ca.SX:
+        """Derivative of ``command_torque`` by the command, n x n, in N m/rad."""
+        commanded = mechanics(structure, q_bar, ca.SX.zeros(q_bar.shape), values)
+        return ca.diag(values.stiffness + self.proportional) + commanded.gravity_gradient
+
+    def torque_under(self, command_torque: ca.SX, x: ca.SX) -> ca.SX:
+        """Torque in the state x = (q, qd), in N m."""
+        q, qd = ca.vertsplit(x, x.numel() // 2)
+        return self.actuated * (command_torque - self.proportional * q - self.derivative * qd)
+
     def torque(self, structure: Structure, values: Values, q_bar: ca.SX, x: ca.SX) -> ca.SX:
         """Torque under the command ``q_bar`` in the state x = (q, qd), in N m."""
-        q, qd = ca.vertsplit(x, structure.segments)
-        gravity = mechanics(structure, q_bar, ca.SX.zeros(q_bar.shape), values).gravity
-        feedforward = values.stiffness * q_bar + gravity
-        feedback = self.proportional * (q_bar - q) - self.derivative * qd
-        return self.actuated * (feedforward + feedback)
+        return self.torque_under(self.command_torque(structure, values, q_bar), x)
 
     def torque_by_command(self, structure: Structure, values: Values, q_bar: ca.SX) -> ca.SX:
         """Derivative of the torque by the command, n x n, in N m/rad."""
-        commanded = mechanics(structure, q_bar, ca.SX.zeros(q_bar.shape), values)
-        slope = ca.diag(values.stiffness + self.proportional) + commanded.gravity_gradient
-        return ca.diag(self.actuated) @ slope
+        return ca.diag(self.actuated) @ self.command_slope(structure, values, q_bar)
 
     def torque_by_state(self) -> ca.SX:
         """Derivative of the torque by (q, qd), n x 2 n."""

@@ -1,18 +1,19 @@
 /* The NMPC's solver, the plant's integrator and the closed loop of both.
  *
  * The model comes from generated C beside this file, which takes several arguments at once
- * (control/lanes.py): `implicit_step` is a linearly implicit step of plant and predictor, its
- * lanes the columns of an extrapolation; `implicit_slopes` its derivatives and `period_end`
- * what else the cost needs, their lanes the periods of the horizon. The algorithm is that of
+ * (control/lanes.py): `implicit_step` is a linearly implicit step of plant and predictor, taken
+ * by several columns of an extrapolation at once; `implicit_slopes` its derivatives,
+ * `command_torque` what a command holds over a period and `period_end` what else the cost
+ * needs, for several periods of the horizon at once. The algorithm is that of
  * control/nmpc.py and plant.py, which state it readably; here it runs without an
  * interpreter. Matrices are row-major, those of the model column-major.
  */
 #include <math.h>
 
 typedef void model_function(const double *const *arg, double *const *res);
-extern model_function implicit_step, implicit_slopes, period_end;
+extern model_function command_torque, implicit_step, implicit_slopes, period_end;
 
-/* Lanes of the model's functions: ABREAST columns, WIDE periods. */
+/* What the model's functions take at once: ABREAST columns, WIDE periods. */
 #ifndef ABREAST
 #error "ABREAST and WIDE are those that the model was generated with"
 #endif
@@ -56,12 +57,15 @@ typedef struct {
  * element i of period k, of a piece with `count` elements, is lane(piece, count, k)[i * WIDE]. */
 typedef struct {
     double *wide_start, *wide_next, *wide_inputs, *wide_flow, *wide_disturbance;
-    double *wide_points; /* where each step of the rollout starts */
+    double *wide_commands, *wide_command_slopes; /* torques of the commands, by q_bar */
+    double *wide_points; /* where each step of the rollout starts, and how the rates change */
     double *wide_a, *wide_b, *wide_tips, *wide_tip_jacobian;
     double *wide_torques, *wide_torque_by_state, *wide_torque_by_input;
-    double *slope, *chain, *product, *begun; /* of one group of periods: A, then B */
+    double *slope, *rates;  /* of one group of periods: derivatives of a step, n rows */
+    double *begun, *chain; /* ... and of what has been gone of the period, 2 n rows */
     double *states;
-    double *now, *reached, *end; /* of the columns, and of a step */
+    double *now, *change, *end; /* of the columns, and of a step */
+    double *command, *one_input, *one_command, *one_slope;
     double *motion, *previous_motion, *sensitivity, *row;
     double *hessian, *factor, *gradient, *direction, *trial, *residual, *multiplier;
     double *no_disturbance;
@@ -84,13 +88,15 @@ static int points(const engine *e) {
 
 static long cut(const engine *e, double *work, pieces *p) {
     long n = e->segments, x = 2 * n, k = e->horizon, size = n * k, used = 0;
-    long wide = (long)groups(e) * WIDE, slopes = x * (x + n) * WIDE;
+    long wide = (long)groups(e) * WIDE, columns = (x + n) * WIDE;
     p->wide_start = take(work, &used, wide * x);
     p->wide_next = take(work, &used, wide * x);
     p->wide_inputs = take(work, &used, wide * n);
     p->wide_flow = take(work, &used, wide * e->flow_size);
     p->wide_disturbance = take(work, &used, wide * n);
-    p->wide_points = take(work, &used, wide * x * points(e));
+    p->wide_commands = take(work, &used, wide * n);
+    p->wide_command_slopes = take(work, &used, wide * n * n);
+    p->wide_points = take(work, &used, wide * (x + n) * points(e));
     p->wide_a = take(work, &used, wide * x * x);
     p->wide_b = take(work, &used, wide * x * n);
     p->wide_tips = take(work, &used, wide * 2);
@@ -98,14 +104,18 @@ static long cut(const engine *e, double *work, pieces *p) {
     p->wide_torques = take(work, &used, wide * n);
     p->wide_torque_by_state = take(work, &used, wide * n * x);
     p->wide_torque_by_input = take(work, &used, wide * n * n);
-    p->slope = take(work, &used, slopes);
-    p->chain = take(work, &used, slopes);
-    p->product = take(work, &used, slopes);
-    p->begun = take(work, &used, slopes);
+    p->slope = take(work, &used, n * columns);
+    p->rates = take(work, &used, n * WIDE);
+    p->begun = take(work, &used, x * columns);
+    p->chain = take(work, &used, x * columns);
     p->states = take(work, &used, (k + 1) * x);
     p->now = take(work, &used, x * ABREAST);
-    p->reached = take(work, &used, x * ABREAST);
+    p->change = take(work, &used, n * ABREAST);
     p->end = take(work, &used, x);
+    p->command = take(work, &used, n);
+    p->one_input = take(work, &used, n * WIDE);
+    p->one_command = take(work, &used, n * WIDE);
+    p->one_slope = take(work, &used, n * n * WIDE);
     p->motion = take(work, &used, x * size);
     p->previous_motion = take(work, &used, x * size);
     p->sensitivity = take(work, &used, 2 * k * size);
@@ -136,6 +146,10 @@ static void put(double *wide, int count, int k, const double *values) {
     for (int i = 0; i < count; i++) to[i * WIDE] = values[i];
 }
 
+static void get(double *values, int count, const double *lane_of) {
+    for (int i = 0; i < count; i++) values[i] = lane_of[i * WIDE];
+}
+
 static double largest(const double *v, int count) {
     double most = 0;
     for (int i = 0; i < count; i++) most = fmax(most, fabs(v[i]));
@@ -149,50 +163,62 @@ static double torque_excess(const engine *e, double torque) {
 
 /* What is held over a period. */
 typedef struct {
-    const double *q_bar, *flow, *disturbance;
+    const double *command, *flow, *disturbance;
 } held;
 
-/* Columns `first` and up of the extrapolation, as many as go abreast, from x: add their ends,
- * weighted, to p->end. Column j goes the length in j + 1 steps. */
-static void go_abreast(const engine *e, const integrator *by, const held *h, const double *x,
-                       double start, double length, int first, pieces *p, double *point) {
-    int size = 2 * e->segments, left = by->columns - first;
-    int count = left < ABREAST ? left : ABREAST, depth = first + count;
-    double time[ABREAST], step[ABREAST];
-    const double *arg[] = {p->now, time, step, h->q_bar, h->flow, h->disturbance, by->gains, e->values};
-    double *res[] = {p->reached};
-    for (int l = 0; l < ABREAST; l++) {
-        step[l] = length / (l < count ? first + l + 1 : depth);
-        for (int i = 0; i < size; i++) p->now[i * ABREAST + l] = x[i];
-    }
-    for (int m = 0; m < depth; m++) {
-        int slowest = m > first ? m - first : 0; /* the lanes before it have arrived */
-        for (int l = 0; l < ABREAST; l++) time[l] = start + (m + 1) * step[l];
-        if (point)
-            for (int l = slowest; l < count; l++) {
-                int j = first + l;
-                double *to = point + (long)(j * (j + 1) / 2 + m) * size * WIDE;
-                for (int i = 0; i < size; i++) to[i * WIDE] = p->now[i * ABREAST + l];
+/* Add the weighted ends of the columns of an extrapolation from x to p->end. Column j goes the
+ * length in j steps; the columns go abreast, and the longest first. Where each step starts, and
+ * the change of the rates in it, are kept in the lane `point`, if asked for. */
+static void extrapolate(const engine *e, const integrator *by, const held *h, const double *x,
+                        double start, double length, pieces *p, double *point) {
+    int n = e->segments, size = 2 * n, waiting = by->columns, column[ABREAST], gone[ABREAST];
+    double time[ABREAST], step[ABREAST], *now = p->now, *change = p->change;
+    const double *arg[] = {now, time, step, h->command, h->flow, h->disturbance, by->gains, e->values};
+    double *res[] = {change};
+    for (int l = 0; l < ABREAST; l++) column[l] = gone[l] = 0;
+    for (;;) {
+        int going = 0;
+        for (int l = 0; l < ABREAST; l++) {
+            if (gone[l] == column[l] && waiting) {
+                column[l] = waiting--;
+                gone[l] = 0;
+                for (int i = 0; i < size; i++) now[i * ABREAST + l] = x[i];
             }
+            step[l] = length / (column[l] ? column[l] : 1);
+            time[l] = start + (gone[l] + 1) * step[l];
+            going += gone[l] < column[l];
+        }
+        if (!going) return;
         implicit_step(arg, res);
-        for (int i = 0; i < size; i++)
-            for (int l = slowest; l < count; l++) p->now[i * ABREAST + l] = p->reached[i * ABREAST + l];
+        for (int l = 0; l < ABREAST; l++) {
+            if (gone[l] == column[l]) continue;
+            if (point) {
+                int index = column[l] * (column[l] - 1) / 2 + gone[l];
+                double *to = point + (long)index * (size + n) * WIDE;
+                for (int i = 0; i < size; i++) to[i * WIDE] = now[i * ABREAST + l];
+                for (int i = 0; i < n; i++) to[(size + i) * WIDE] = change[i * ABREAST + l];
+            }
+            for (int i = 0; i < n; i++) {
+                double *q = now + i * ABREAST + l, *rate = q + n * ABREAST;
+                *rate += change[i * ABREAST + l];
+                *q += step[l] * *rate;
+            }
+            if (++gone[l] < column[l]) continue;
+            double weight = by->weights[column[l] - 1];
+            for (int i = 0; i < size; i++) p->end[i] += weight * now[i * ABREAST + l];
+        }
     }
-    for (int i = 0; i < size; i++)
-        for (int l = 0; l < count; l++) p->end[i] += by->weights[first + l] * p->now[i * ABREAST + l];
 }
 
-/* Move x on by a period. Where each step starts is kept in the lane `point`, if asked for. */
+/* Move x on by a period; for `point` see above. */
 static void advance(const engine *e, const integrator *by, const held *h, double *x, pieces *p,
                     double *point) {
     int size = 2 * e->segments, each = by->columns * (by->columns + 1) / 2;
     double length = e->period / by->steps;
     for (int s = 0; s < by->steps; s++) {
-        double start = s * length - e->period / 2;
         for (int i = 0; i < size; i++) p->end[i] = 0;
-        for (int first = 0; first < by->columns; first += ABREAST)
-            go_abreast(e, by, h, x, start, length, first, p,
-                       point ? point + (long)s * each * size * WIDE : 0);
+        extrapolate(e, by, h, x, s * length - e->period / 2, length, p,
+                    point ? point + (long)s * each * (size + e->segments) * WIDE : 0);
         for (int i = 0; i < size; i++) x[i] = p->end[i];
     }
 }
@@ -206,11 +232,21 @@ static void read_forecast(const engine *e, const task *t, pieces *p) {
     }
 }
 
+static void begin_periods(const engine *e, pieces *p) {
+    int n = e->segments;
+    for (int k = 0; k < e->horizon; k += WIDE) {
+        const double *arg[] = {lane(p->wide_inputs, n, k), e->predictor.gains, e->values};
+        double *res[] = {lane(p->wide_commands, n, k), lane(p->wide_command_slopes, n * n, k)};
+        command_torque(arg, res);
+    }
+}
+
 static void end_periods(const engine *e, pieces *p) {
     int n = e->segments, x = 2 * n;
     for (int k = 0; k < e->horizon; k += WIDE) {
         const double *arg[] = {lane(p->wide_start, x, k), lane(p->wide_next, x, k),
-                               lane(p->wide_inputs, n, k), e->predictor.gains, e->values};
+                               lane(p->wide_commands, n, k), lane(p->wide_command_slopes, n * n, k),
+                               e->predictor.gains, e->values};
         double *res[] = {lane(p->wide_tips, 2, k), lane(p->wide_tip_jacobian, 2 * n, k),
                          lane(p->wide_torques, n, k), lane(p->wide_torque_by_state, n * x, k),
                          lane(p->wide_torque_by_input, n * n, k)};
@@ -222,15 +258,17 @@ static void end_periods(const engine *e, pieces *p) {
 static double roll_out(const engine *e, const task *t, const double *inputs, pieces *p) {
     int n = e->segments, x = 2 * n, f = e->flow_size;
     double cost = 0;
+    for (int k = 0; k < e->horizon; k++) put(p->wide_inputs, n, k, inputs + n * k);
+    begin_periods(e, p);
     for (int i = 0; i < x; i++) p->states[i] = t->state[i];
     for (int k = 0; k < e->horizon; k++) {
         double *from = p->states + x * k, *to = from + x;
-        held h = {inputs + n * k, t->flow + f * k, t->disturbance + n * k};
+        held h = {p->command, t->flow + f * k, t->disturbance + n * k};
+        get(p->command, n, lane(p->wide_commands, n, k));
         for (int i = 0; i < x; i++) to[i] = from[i];
-        advance(e, &e->predictor, &h, to, p, lane(p->wide_points, x * points(e), k));
+        advance(e, &e->predictor, &h, to, p, lane(p->wide_points, (x + n) * points(e), k));
         put(p->wide_start, x, k, from);
         put(p->wide_next, x, k, to);
-        put(p->wide_inputs, n, k, h.q_bar);
     }
     end_periods(e, p);
     for (int k = 0; k < e->horizon; k++) {
@@ -250,52 +288,74 @@ static double roll_out(const engine *e, const task *t, const double *inputs, pie
     return cost;
 }
 
-/* product = slope * chain, and in the columns of the command + slope's own. */
-static void follow_chain(int n, pieces *p) {
+/* Derivatives after a step of length h, from those before it: in p->chain, the columns of the
+ * period's first state, then those of the command's torque. */
+static void follow_chain(int n, double h, pieces *p) {
     int x = 2 * n;
-    for (int c = 0; c < x + n; c++)
-        for (int r = 0; r < x; r++) {
+    for (int c = 0; c < x + n; c++) {
+        const double *before = p->chain + (long)c * x * WIDE, *own = p->slope + (long)c * n * WIDE;
+        for (int r = 0; r < n; r++) {
             double sum[WIDE];
-            const double *own = p->slope + (c * x + r) * WIDE;
-            for (int l = 0; l < WIDE; l++) sum[l] = c < x ? 0 : own[l];
+            for (int l = 0; l < WIDE; l++) sum[l] = c < x ? 0 : own[r * WIDE + l];
             for (int m = 0; m < x; m++) {
-                const double *s = p->slope + (m * x + r) * WIDE, *in = p->chain + (c * x + m) * WIDE;
+                const double *s = p->slope + (m * n + r) * WIDE, *in = before + m * WIDE;
                 for (int l = 0; l < WIDE; l++) sum[l] += s[l] * in[l];
             }
-            for (int l = 0; l < WIDE; l++) p->product[(c * x + r) * WIDE + l] = sum[l];
+            for (int l = 0; l < WIDE; l++) p->rates[r * WIDE + l] = sum[l];
         }
+        double *q = p->chain + (long)c * x * WIDE, *rate = q + n * WIDE;
+        for (int i = 0; i < n * WIDE; i++) {
+            rate[i] = p->rates[i];
+            q[i] += h * p->rates[i];
+        }
+    }
+}
+
+/* Derivatives by the inputs from those by their torques, in place: n columns of `rows`. */
+static void follow_command(int n, int rows, const double *slope, double *by, double *row) {
+    for (int r = 0; r < rows; r++) {
+        for (int c = 0; c < n; c++)
+            for (int l = 0; l < WIDE; l++) {
+                double sum = 0;
+                for (int m = 0; m < n; m++)
+                    sum += by[(m * rows + r) * WIDE + l] * slope[(c * n + m) * WIDE + l];
+                row[c * WIDE + l] = sum;
+            }
+        for (int c = 0; c < n; c++)
+            for (int l = 0; l < WIDE; l++) by[(c * rows + r) * WIDE + l] = row[c * WIDE + l];
+    }
 }
 
 /* Derivatives of the periods k and on, WIDE of them, of the last rollout. */
 static void differentiate(const engine *e, pieces *p, int k) {
-    int n = e->segments, x = 2 * n, count = x * (x + n) * WIDE;
+    int n = e->segments, x = 2 * n, states = x * x * WIDE, commands = x * n * WIDE;
     const integrator *by = &e->predictor;
     double length = e->period / by->steps;
     double *a = lane(p->wide_a, x * x, k), *b = lane(p->wide_b, x * n, k);
-    const double *point = lane(p->wide_points, x * points(e), k);
-    for (int i = 0; i < x * x * WIDE; i++) a[i] = i / WIDE % (x + 1) == 0;
-    for (int i = 0; i < x * n * WIDE; i++) b[i] = 0;
+    const double *point = lane(p->wide_points, (x + n) * points(e), k);
+    for (int i = 0; i < states; i++) a[i] = i / WIDE % (x + 1) == 0;
+    for (int i = 0; i < commands; i++) b[i] = 0;
     for (int s = 0; s < by->steps; s++) {
-        for (int i = 0; i < x * x * WIDE; i++) p->begun[i] = a[i], a[i] = 0;
-        for (int i = 0; i < x * n * WIDE; i++) p->begun[x * x * WIDE + i] = b[i], b[i] = 0;
+        for (int i = 0; i < states; i++) p->begun[i] = a[i], a[i] = 0;
+        for (int i = 0; i < commands; i++) p->begun[states + i] = b[i], b[i] = 0;
         for (int j = 0; j < by->columns; j++) {
             double h = length / (j + 1);
-            for (int i = 0; i < count; i++) p->chain[i] = p->begun[i];
-            for (int m = 0; m <= j; m++, point += x * WIDE) {
+            for (int i = 0; i < states + commands; i++) p->chain[i] = p->begun[i];
+            for (int m = 0; m <= j; m++, point += (x + n) * WIDE) {
                 double time = s * length - e->period / 2 + (m + 1) * h;
-                const double *arg[] = {point, &time, &h, lane(p->wide_inputs, n, k),
+                const double *arg[] = {point, point + x * WIDE, &time, &h,
+                                       lane(p->wide_commands, n, k),
                                        lane(p->wide_flow, e->flow_size, k),
                                        lane(p->wide_disturbance, n, k), by->gains, e->values};
-                double *res[] = {p->slope, p->slope + x * x * WIDE}, *swap = p->chain;
+                double *res[] = {p->slope, p->slope + n * x * WIDE};
                 implicit_slopes(arg, res);
-                follow_chain(n, p);
-                p->chain = p->product;
-                p->product = swap;
+                follow_chain(n, h, p);
             }
-            for (int i = 0; i < x * x * WIDE; i++) a[i] += by->weights[j] * p->chain[i];
-            for (int i = 0; i < x * n * WIDE; i++) b[i] += by->weights[j] * p->chain[x * x * WIDE + i];
+            for (int i = 0; i < states; i++) a[i] += by->weights[j] * p->chain[i];
+            for (int i = 0; i < commands; i++) b[i] += by->weights[j] * p->chain[states + i];
         }
     }
+    follow_command(n, x, lane(p->wide_command_slopes, n * n, k), b, p->rates);
 }
 
 /* Add a residual with its row of derivatives to Hessian and half gradient. */
@@ -514,7 +574,12 @@ void plant_advance(const engine *e, const double *state, const double *q_bar, co
                    double *end) {
     pieces p;
     cut(e, e->work, &p);
-    held h = {q_bar, flow, p.no_disturbance};
+    put(p.one_input, e->segments, 0, q_bar);
+    const double *arg[] = {p.one_input, e->plant.gains, e->values};
+    double *res[] = {p.one_command, p.one_slope};
+    command_torque(arg, res);
+    get(p.command, e->segments, p.one_command);
+    held h = {p.command, flow, p.no_disturbance};
     for (int i = 0; i < 2 * e->segments; i++) end[i] = state[i];
     advance(e, &e->plant, &h, end, &p, 0);
 }

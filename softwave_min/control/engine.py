@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softwave_min.arm import Arm, Structure
+from softwave_min.control.implicit_step import slopes_sum, step_sum
 from softwave_min.control.lanes import lane_code
 from softwave_min.control.nmpc import Problem, Solution, Status, scales
 from softwave_min.control.predictor import (
+    command_function,
     extrapolation_weights,
     period_function,
-    slopes_function,
-    step_function,
 )
 from softwave_min.native import build
 from softwave_min.parameters import NmpcParameters, SimulationParameters
@@ -29,10 +29,10 @@ __all__ = ["Engine"]
 Floats = NDArray[np.float64]
 _DOUBLES = ctypes.POINTER(ctypes.c_double)
 _INTS = ctypes.POINTER(ctypes.c_int)
-ABREAST = 4
-"""Columns of an extrapolation that the model takes at once."""
+ABREAST, PLACES = 2, 4
+"""Columns of an extrapolation, and places of the quadrature, that a step takes at once."""
 WIDE = 8
-"""Periods that it differentiates at once."""
+"""Periods that are differentiated at once."""
 
 
 class _Integrator(ctypes.Structure):
@@ -202,14 +202,15 @@ def _pointer(array: Floats) -> ctypes._Pointer[ctypes.c_double]:
 @cache
 def _library(structure: Structure) -> ctypes.CDLL:
     own = Path(__file__).with_name("engine.c").read_text(encoding="utf-8")
-    constants = {"q_bar", "flow", "disturbance", "gains", "values"}
+    numbers = {"gains", "values"}
+    held = numbers | {"command_torque", "flow", "disturbance"}
+    slopes, step = slopes_sum(structure), step_sum(structure)
     sources = {
         "engine.c": f"#define ABREAST {ABREAST}\n#define WIDE {WIDE}\n{own}",
-        "step.c": lane_code(step_function(structure), ABREAST, same=constants),
-        "slopes.c": lane_code(
-            slopes_function(structure), WIDE, same={"time", "h", "gains", "values"}
-        ),
-        "period.c": lane_code(period_function(structure), WIDE, same={"gains", "values"}),
+        "step.c": lane_code(step, ABREAST, held, PLACES),
+        "slopes.c": lane_code(slopes, WIDE, numbers | {"time", "h"}),
+        "command.c": lane_code(command_function(structure), WIDE, numbers),
+        "period.c": lane_code(period_function(structure), WIDE, numbers),
     }
     library = ctypes.CDLL(str(build("engine", sources)))
     library.engine_work.restype = ctypes.c_long

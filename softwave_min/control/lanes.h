@@ -1,9 +1,12 @@
-/* Arithmetic on LANES numbers at once, for code that is emitted by control/lanes.py.
+/* Arithmetic on several numbers at once, for code that is emitted by control/lanes.py.
  *
- * A lane does what a double would do: comparisons are 0 or 1, and a condition holds where it
- * is not 0. GCC and Clang turn the vectors into what the processor has.
+ * The lanes are ARGUMENTS at the first of PLACES, then those at the next. A lane does what a
+ * double would do: comparisons are 0 or 1, and a condition holds where it is not 0. GCC and
+ * Clang turn the vectors into what the processor has.
  */
 #include <math.h>
+
+#define LANES (ARGUMENTS * PLACES)
 
 typedef double lanes __attribute__((vector_size(8 * LANES)));
 typedef long long masks __attribute__((vector_size(8 * LANES)));
@@ -12,9 +15,35 @@ typedef double stored __attribute__((vector_size(8 * LANES), aligned(8), may_ali
 
 #define INLINE static inline __attribute__((always_inline))
 
-INLINE lanes load(const double *from) { return *(const stored *)from; }
-INLINE void store(double *to, lanes a) { *(stored *)to = a; }
-INLINE lanes all(double value) { return (lanes){0} + value; }
+INLINE lanes load(const double *from) {
+#if PLACES == 1
+    return *(const stored *)from;
+#else
+    lanes a;
+    for (int i = 0; i < LANES; i++) a[i] = from[i % ARGUMENTS];
+    return a;
+#endif
+}
+INLINE void store(double *to, lanes a) {
+#if PLACES == 1
+    *(stored *)to = a;
+#else
+    for (int i = 0; i < ARGUMENTS; i++) to[i] = a[i];
+#endif
+}
+INLINE lanes load_places(const double *from) {
+    lanes a;
+    for (int i = 0; i < LANES; i++) a[i] = from[i / ARGUMENTS];
+    return a;
+}
+/* Over the places, for each argument; alike at all places. */
+INLINE lanes total(lanes a) {
+    double sum[ARGUMENTS] = {0};
+    for (int i = 0; i < LANES; i++) sum[i % ARGUMENTS] += a[i];
+    for (int i = 0; i < LANES; i++) a[i] = sum[i % ARGUMENTS];
+    return a;
+}
+INLINE lanes all(double value) { return value - (lanes){0}; }
 INLINE lanes where(masks mask, lanes a) { return (lanes)(mask & (masks)a); }
 INLINE lanes either(masks mask, lanes a, lanes b) {
     return (lanes)((mask & (masks)a) | (~mask & (masks)b));

@@ -1,21 +1,13 @@
 r"""One control period of the arm under a held command, as a CasADi function.
 
-The arm is stiff: with added mass the eigenvalues of M span about three decades,
-and the derivative gain acts on the smallest. The step is linearly implicit,
-
-.. math:: [M + h(D + \beta + S) + h^2 (k + \alpha)]\,(\dot q^+ - \dot q)
-          = h f - h^2 (k + \alpha)\, \dot q, \qquad q^+ = q + h \dot q^+,
-
-with f the resultant of all forces, S the slope of the drag by the rates and the
-flow taken at the end of the step. A length H is gone in 1, in 2, ... in K such steps, and
-the ends T_1, ... T_K are extrapolated to order K (Hairer & Wanner II, IV.9), which keeps
-the damping.
+A length H is gone in 1, in 2, ... in K steps of ``implicit_step``, and the ends T_1, ... T_K
+are extrapolated to order K (Hairer & Wanner II, IV.9), which keeps their damping.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Self
 
@@ -23,78 +15,29 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from softwave_min.arm import Section, Structure, Values, mechanics
+from softwave_min.arm import Structure, mechanics
 from softwave_min.arm.dynamics import solve_symmetric
-from softwave_min.arm.hydrodynamics import flow_at, flow_gradient
-from softwave_min.arm.kinematics import BodyPoint
-from softwave_min.arm.mechanics import flow_coefficients
-from softwave_min.control.baseline import InnerLoop
+from softwave_min.control.implicit_step import Held, ImplicitStep
+from softwave_min.control.summed import dense_function
 from softwave_min.parameters import NmpcParameters
 
 __all__ = [
     "PeriodSteps",
+    "command_function",
     "extrapolation_weights",
     "period_function",
     "rollout_function",
-    "slopes_function",
     "stage_function",
-    "step_function",
 ]
 
 
 @dataclass(frozen=True)
-class _Period:
-    """What is held over a control period."""
-
-    structure: Structure
-    q_bar: ca.SX
-    flow: ca.SX
-    disturbance: ca.SX
-    gains: ca.SX
-    packed: ca.SX
-
-    @classmethod
-    def symbolic(cls, structure: Structure) -> Self:
-        """Symbols for everything."""
-        n = structure.segments
-        return cls(
-            structure,
-            q_bar=ca.SX.sym("q_bar", n),
-            flow=ca.SX.sym("flow", structure.flow_size),
-            disturbance=ca.SX.sym("disturbance", n),
-            gains=ca.SX.sym("gains", InnerLoop.size(n)),
-            packed=ca.SX.sym("values", Values.size(n)),
-        )
-
-    @property
-    def inputs(self) -> dict[str, ca.SX]:
-        """Inputs of every function of this period, the state aside."""
-        return {
-            "q_bar": self.q_bar,
-            "flow": self.flow,
-            "disturbance": self.disturbance,
-            "gains": self.gains,
-            "values": self.packed,
-        }
-
-    @property
-    def loop(self) -> InnerLoop:
-        """The inner loop by name."""
-        return InnerLoop.unpacked(self.gains, self.structure.segments)
-
-    @property
-    def values(self) -> Values:
-        """The parameters by name."""
-        return Values.unpacked(self.packed, self.structure.segments)
-
-
-@dataclass(frozen=True)
 class _Reached:
-    """A state with its derivatives by the period's first state and by the command."""
+    """A state with its derivatives by the period's first state and by the command's torque."""
 
     x: ca.SX
     by_state: ca.SX
-    by_command: ca.SX
+    by_torque: ca.SX
 
     @classmethod
     def start(cls, x: ca.SX) -> Self:
@@ -141,20 +84,27 @@ def stage_function(structure: Structure, steps: PeriodSteps) -> ca.Function:
     A = dx+/dx; B = dx+/dq_bar; and those of ``period_function``.
     """
     n = structure.segments
-    x = ca.SX.sym("x", 2 * n)
-    held = _Period.symbolic(structure)
+    x, q_bar = ca.SX.sym("x", 2 * n), ca.SX.sym("q_bar", n)
+    given = Held.symbolic(structure)
+    torque, slope = _command(given, q_bar)
+    held = replace(given, command_torque=torque)
     length = steps.period / steps.substeps
     after = _Reached.start(x)
     for index in range(steps.substeps):
         start = index * length - steps.period / 2
         after = _extrapolated(held, after, start, length, steps.columns)
+    inputs = {"x": x, **given.inputs}
+    inputs["command_torque"] = q_bar  # in its place
     outputs = {
         "next": after.x,
         "A": after.by_state,
-        "B": after.by_command,
-        **_period_outputs(held, x, after.x),
+        "B": after.by_torque @ slope,
+        **_period_outputs(held, x, after.x, slope),
     }
-    return _function("predictor_stage", {"x": x, **held.inputs}, outputs)
+    names = ["x", "q_bar", *list(inputs)[2:]]
+    return dense_function(
+        "predictor_stage", dict(zip(names, inputs.values(), strict=True)), outputs
+    )
 
 
 @cache
@@ -164,34 +114,18 @@ def rollout_function(structure: Structure, steps: PeriodSteps, horizon: int) -> 
 
 
 @cache
-def step_function(structure: Structure) -> ca.Function:
-    """State after one linearly implicit step, without derivatives.
+def command_function(structure: Structure) -> ca.Function:
+    """What a command adds to the torque of a period, and its derivative.
 
-    Inputs: x; the time at the end of the step, from the middle of the period; the step's
-    length h; and as ``stage_function`` has them q_bar, flow, disturbance, gains, values.
+    Inputs: q_bar; gains; values.
     """
-    n = structure.segments
-    held = _Period.symbolic(structure)
-    x, time, h = ca.SX.sym("x", 2 * n), ca.SX.sym("time"), ca.SX.sym("h")
-    step = _ImplicitStep(held, x, time, h)
-    change = -solve_symmetric(step.matrix(), step.residual(ca.SX.zeros(n)))
-    rate = x[n:] + change
-    reached = ca.vertcat(x[:n] + h * rate, rate)
-    return _function(
-        "implicit_step", {"x": x, "time": time, "h": h, **held.inputs}, {"next": reached}
-    )
-
-
-@cache
-def slopes_function(structure: Structure) -> ca.Function:
-    """Derivatives of ``step_function`` by x and by q_bar, from the same inputs."""
-    held = _Period.symbolic(structure)
-    x, time, h = ca.SX.sym("x", 2 * structure.segments), ca.SX.sym("time"), ca.SX.sym("h")
-    reached = _implicit_step(held, _Reached.start(x), time - h, h)
-    return _function(
-        "implicit_slopes",
-        {"x": x, "time": time, "h": h, **held.inputs},
-        {"A": reached.by_state, "B": reached.by_command},
+    held = Held.symbolic(structure)
+    q_bar = ca.SX.sym("q_bar", structure.segments)
+    torque, slope = _command(held, q_bar)
+    return dense_function(
+        "command_torque",
+        {"q_bar": q_bar, "gains": held.gains, "values": held.packed},
+        {"torque": torque, "slope": slope},
     )
 
 
@@ -199,36 +133,46 @@ def slopes_function(structure: Structure) -> ca.Function:
 def period_function(structure: Structure) -> ca.Function:
     """What else the cost of a period needs.
 
-    Inputs: x; the next x; q_bar; gains; values. Outputs: tip of the next state; its
-    Jacobian by q; torque at the start of the period; its derivatives by x and by q_bar.
+    Inputs: x; the next x; the command's torque and its derivative by q_bar; gains; values.
+    Outputs: tip of the next state; its Jacobian by q; torque at the start of the period; its
+    derivatives by x and by q_bar.
     """
     n = structure.segments
-    held = _Period.symbolic(structure)
+    held = Held.symbolic(structure)
     x, after = ca.SX.sym("x", 2 * n), ca.SX.sym("next", 2 * n)
-    inputs = {name: held.inputs[name] for name in ("q_bar", "gains", "values")}
-    outputs = _period_outputs(held, x, after)
-    return _function("period_end", {"x": x, "next": after, **inputs}, outputs)
+    slope = ca.SX.sym("slope", n, n)
+    inputs = {
+        "command_torque": held.command_torque,
+        "command_slope": slope,
+        "gains": held.gains,
+        "values": held.packed,
+    }
+    return dense_function(
+        "period_end",
+        {"x": x, "next": after, **inputs},
+        _period_outputs(held, x, after, slope),
+    )
 
 
-def _period_outputs(held: _Period, x: ca.SX, after: ca.SX) -> dict[str, ca.SX]:
+def _command(held: Held, q_bar: ca.SX) -> tuple[ca.SX, ca.SX]:
+    arguments = (held.structure, held.values, q_bar)
+    return held.loop.command_torque(*arguments), held.loop.command_slope(*arguments)
+
+
+def _period_outputs(held: Held, x: ca.SX, after: ca.SX, slope: ca.SX) -> dict[str, ca.SX]:
     n = held.structure.segments
     end = mechanics(held.structure, after[:n], after[n:], held.values)
     return {
         "tip": end.tips[-1],
         "tip_jacobian": end.tip_jacobian,
-        "torque": held.loop.torque(held.structure, held.values, held.q_bar, x),
+        "torque": held.loop.torque_under(held.command_torque, x),
         "torque_by_state": held.loop.torque_by_state(),
-        "torque_by_command": held.loop.torque_by_command(held.structure, held.values, held.q_bar),
+        "torque_by_command": ca.diag(held.loop.actuated) @ slope,
     }
 
 
-def _function(name: str, inputs: dict[str, ca.SX], outputs: dict[str, ca.SX]) -> ca.Function:
-    dense = [ca.densify(output) for output in outputs.values()]
-    return ca.Function(name, list(inputs.values()), ca.cse(dense), list(inputs), list(outputs))
-
-
 def _extrapolated(
-    held: _Period, first: _Reached, start: float, length: float, columns: int
+    held: Held, first: _Reached, start: float, length: float, columns: int
 ) -> _Reached:
     ends = []
     for parts in range(1, columns + 1):
@@ -245,13 +189,11 @@ def _extrapolated(
     return _Reached(
         combined(end.x for end in ends),
         combined(end.by_state for end in ends),
-        combined(end.by_command for end in ends),
+        combined(end.by_torque for end in ends),
     )
 
 
-def _implicit_step(
-    held: _Period, first: _Reached, time: ca.SX | float, h: ca.SX | float
-) -> _Reached:
+def _implicit_step(held: Held, first: _Reached, time: float, h: float) -> _Reached:
     """One linearly implicit step from ``time``, with derivatives.
 
     The step solves W d = r for the change d of the rates. Its derivative is
@@ -259,158 +201,20 @@ def _implicit_step(
     solution of the linear system.
     """
     n = held.structure.segments
-    step = _ImplicitStep(held, first.x, time + h, h)
-    matrix = step.matrix()
-    change = -solve_symmetric(matrix, step.residual(ca.SX.zeros(n)))
-    by_x = step.residual_by_state(change)
+    step = ImplicitStep(held, first.x, time + h, h)
+    matrix = step.matrix(step.matrix_sum())
+    still = ca.SX.zeros(n)
+    change = -solve_symmetric(matrix, step.residual(step.residual_sum(still), still))
+    by_x = step.residual_by_state(step.residual_by_state_sum(change))
     rates = -solve_symmetric(
         matrix,
-        ca.horzcat(by_x @ first.by_state, by_x @ first.by_command + step.residual_by_command()),
+        ca.horzcat(by_x @ first.by_state, by_x @ first.by_torque + step.residual_by_torque()),
     )
     rates_by_state = first.by_state[n:, :] + rates[:, : 2 * n]
-    rates_by_command = first.by_command[n:, :] + rates[:, 2 * n :]
+    rates_by_torque = first.by_torque[n:, :] + rates[:, 2 * n :]
     rate = first.x[n:] + change
     return _Reached(
         ca.vertcat(first.x[:n] + h * rate, rate),
         ca.vertcat(first.by_state[:n, :] + h * rates_by_state, rates_by_state),
-        ca.vertcat(first.by_command[:n, :] + h * rates_by_command, rates_by_command),
+        ca.vertcat(first.by_torque[:n, :] + h * rates_by_torque, rates_by_torque),
     )
-
-
-class _ImplicitStep:
-    """The linear system of one step, with the flow of ``time``.
-
-    Its residual W d - r is a sum over the quadrature points,
-    J^T f(z) + (dtheta/dq) mu(z), of the force and the moment on a section in the
-    motion z, and of the terms that act on the bending angles directly. So its
-    derivative needs that of f and mu by z, and of z by the state, which the
-    kinematics gives in closed form.
-    """
-
-    def __init__(self, held: _Period, x: ca.SX, time: ca.SX | float, h: ca.SX | float) -> None:
-        n = held.structure.segments
-        self._held, self._h = held, h
-        self._q, self._qd = ca.vertsplit(x, n)
-        self._values = held.values
-        self._arm = mechanics(held.structure, self._q, self._qd, held.values)
-        self._loop = loop = held.loop
-        self._spring = self._values.stiffness + loop.actuated * loop.proportional
-        self._damper = self._values.damping + loop.actuated * loop.derivative
-        self._flow, self._flow_rate = flow_coefficients(held.flow, time, held.structure)
-
-    def matrix(self) -> ca.SX:
-        """W; a locked angle has a row of its own."""
-        total = ca.diag(self._h * self._damper + self._h**2 * self._spring)
-        if self._held.structure.rotary_inertia:
-            total += self._arm.rotary_inertia
-        for section, point, weight, _ in self._arm.points:
-            columns = [
-                self._change_force(section, point, column)
-                for column in ca.horzsplit(point.jacobian)
-            ]
-            total += weight * point.jacobian.T @ ca.horzcat(*columns)
-        free = ca.diag(1 - self._loop.locked)
-        return free @ total @ free + ca.diag(self._loop.locked)
-
-    def residual(self, change: ca.SX) -> ca.SX:
-        """W d - r, in N m s; for a locked angle its rate after the step."""
-        h, values = self._h, self._values
-        x = ca.vertcat(self._q, self._qd)
-        torque = self._loop.torque(self._held.structure, values, self._held.q_bar, x)
-        passive = values.stiffness * self._q + values.damping * self._qd
-        total = (
-            h * (passive - torque - self._held.disturbance)
-            + h**2 * self._spring * self._qd
-            + (h * self._damper + h**2 * self._spring) * change
-        )
-        if self._held.structure.rotary_inertia:
-            total += self._arm.rotary_inertia @ change
-        for section, point, weight, _ in self._arm.points:
-            force, moment = self._section_force(section, *self._motion(point, change))
-            total += weight * (point.jacobian.T @ force + point.angle_jacobian * moment)
-        locked = self._loop.locked
-        return (1 - locked) * total + locked * (self._qd + change)
-
-    def residual_by_state(self, change: ca.SX) -> ca.SX:
-        """Derivative of the residual by (q, qd) at fixed d, n x 2 n."""
-        h = self._h
-        by_angle = h * ca.diag(self._spring)
-        by_rate = ca.diag(h * self._damper + h**2 * self._spring)
-        for section, point, weight, _ in self._arm.points:
-            motion = self._motion(point, change)
-            force, _ = self._section_force(section, *motion)
-            slopes = self._section_slopes(section, motion)
-            reach = ca.horzcat(point.jacobian.T, point.angle_jacobian)
-            angle_wise, rate_wise = self._motion_by_state(point, change)
-            by_angle += weight * (point.hessian_along(force) + reach @ slopes @ angle_wise)
-            by_rate += weight * reach @ slopes @ rate_wise
-        free, locked = ca.diag(1 - self._loop.locked), ca.diag(self._loop.locked)
-        return ca.horzcat(free @ by_angle, free @ by_rate + locked)
-
-    def residual_by_command(self) -> ca.SX:
-        """Derivative of the residual by the commanded angles, n x n."""
-        held = self._held
-        slope = self._loop.torque_by_command(held.structure, self._values, held.q_bar)
-        return -self._h * ca.diag(1 - self._loop.locked) @ slope
-
-    def _motion(self, point: BodyPoint, change: ca.SX) -> tuple[ca.SX, ...]:
-        offset = self._arm.offset(point)
-        return (
-            point.angle,
-            point.angular_velocity,
-            point.velocity,
-            flow_at(self._flow, offset),
-            flow_at(self._flow_rate, offset),
-            point.convective_acceleration,
-            point.jacobian @ change,
-        )
-
-    def _motion_by_state(self, point: BodyPoint, change: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Derivatives of the stacked motion by q and by qd."""
-        n = self._held.structure.segments
-        offset, jacobian = self._arm.offset(point), point.jacobian
-        turning, still = point.angle_jacobian.T, ca.SX.zeros(2, n)
-        jacobian_rate = point.gradient_of_product(self._qd)
-        by_angle = ca.vertcat(
-            turning,
-            ca.SX.zeros(1, n),
-            jacobian_rate,
-            flow_gradient(self._flow, offset) @ jacobian,
-            flow_gradient(self._flow_rate, offset) @ jacobian,
-            point.gradient_of_convective_acceleration(),
-            point.gradient_of_product(change),
-        )
-        by_rate = ca.vertcat(
-            ca.SX.zeros(1, n), turning, jacobian, still, still, 2 * jacobian_rate, still
-        )
-        return by_angle, by_rate
-
-    def _section_force(
-        self, section: Section, angle: ca.SX, spin: ca.SX, *vectors: ca.SX
-    ) -> tuple[ca.SX, ca.SX]:
-        """Force and moment on a section in the residual, in N s and N m s."""
-        velocity, flow, flow_rate, convective, change = vectors
-        h = self._h
-        accelerated = change + h * convective
-        convection, moment = section.added_convection(angle, spin, velocity)
-        loads = section.loads(angle, velocity, flow, flow_rate)
-        force = (
-            section.mass * accelerated
-            + section.added_force(angle, accelerated)
-            + h * section.drag_slope(angle, velocity, flow, change)
-            + h * (convection - section.weight - sum(loads, start=ca.SX.zeros(2)))
-        )
-        return force, h * moment
-
-    def _change_force(self, section: Section, point: BodyPoint, change: ca.SX) -> ca.SX:
-        """The part of the force that grows with d."""
-        flow = flow_at(self._flow, self._arm.offset(point))
-        slope = section.drag_slope(point.angle, point.velocity, flow, change)
-        return section.mass * change + section.added_force(point.angle, change) + self._h * slope
-
-    def _section_slopes(self, section: Section, motion: tuple[ca.SX, ...]) -> ca.SX:
-        """Derivative of (force, moment) by the stacked motion, 3 x 12."""
-        symbols = [ca.SX.sym("z", *part.shape) for part in motion]
-        wrench = ca.vertcat(*self._section_force(section, *symbols))
-        slopes = ca.jacobian(wrench, ca.vertcat(*symbols))
-        return ca.substitute([slopes], symbols, list(motion))[0]

@@ -112,9 +112,8 @@ def fluid_forcing(
     close_up : tuple of int
         Segment and quadrature point, each from 0, that the second panel shows.
     """
-    places, _ = arm.structure.quadrature
     points = [
-        [point_load(arm, sea, state, time, (segment, s)) for s in places]
+        [point_load(arm, sea, state, time, (segment, s)) for s, _ in arm.structure.rule]
         for segment in range(arm.segments)
     ]
     fine = [
@@ -140,7 +139,7 @@ def fluid_forcing(
         caption=(
             "The load of the moving water on the moving arm, at one instant. (a) Body, flow "
             "(grey arrows), and drag across the axis per length (orange; the largest is "
-            f"{largest:.0f} N/m), as it runs along each segment and at the {len(places)} "
+            f"{largest:.0f} N/m), as it runs along each segment and at the {len(points[0])} "
             "quadrature points of each; drag along the axis (blue) is drawn "
             f"{FRICTION_SCALE} times larger. (b) The circled point: the velocity $v$ of the "
             "body, that of the water $v_f$, the relative velocity $v_r = v - v_f$ and its "
