@@ -14,9 +14,9 @@ from softwave_min.experiments.ablations import (
     NMPC,
     POSE_PAIRS,
     SEEDS,
-    HeldFlow,
     PathRun,
     integral_gain,
+    loop_of,
     path_variants,
     places,
     runs,
@@ -24,18 +24,17 @@ from softwave_min.experiments.ablations import (
     variants,
     varied,
 )
+from softwave_min.experiments.held import held_flow, simulate_told
 from softwave_min.experiments.paper import poses, wave_cases
 from softwave_min.figures.ablations import draw
 from softwave_min.identity import as_plain
 from softwave_min.simulation import (
     BaselineController,
-    NmpcController,
     Scenario,
     root_mean_square_error,
     simulate,
     simulate_baseline,
     simulate_nmpc,
-    solver_of,
 )
 from softwave_min.waves import Sea
 
@@ -172,7 +171,7 @@ def test_the_feedforward_knows_no_more_than_it_is_told(nominal):
 
 def test_holding_the_flow_is_exact_where_it_does_not_change(nominal):
     scenario = in_current(nominal, (0.2, 0.2), duration=3.0)
-    held = simulate(scenario, NmpcController(scenario, HeldFlow(solver_of(scenario))))
+    held = simulate_told(scenario, held_flow)
     np.testing.assert_allclose(held.q, simulate_nmpc(scenario).q, atol=1e-8)
 
 
@@ -181,9 +180,7 @@ def test_each_step_of_knowledge_lowers_the_error(nominal):
     for name in ("preview_exact", "preview_present", "preview_none"):
         variant = of(nominal, name)
         errors = [
-            settled(
-                ablations._simulated(scenario_of(nominal, *variant.changes, seed=seed), variant)
-            )
+            settled(loop_of(scenario_of(nominal, *variant.changes, seed=seed), variant))
             for seed in (1, 2, 3)
         ]
         medians.append(np.median(errors))

@@ -11,6 +11,7 @@ import pytest
 
 from softwave_min.claims import WIDEST_POINTS, WIDEST_SHARE
 from softwave_min.experiments import headlines, open_points
+from softwave_min.experiments.bounded_solves import with_bounded_solves
 from softwave_min.experiments.headlines import attempted_numbers, headline_numbers
 from softwave_min.experiments.open_points import (
     BRIEF,
@@ -120,6 +121,14 @@ def test_slow_readings_are_measured_briefly():
         found = run.parameters.parameters
         assert found.simulation.integrator == CALIBRATED.simulation.integrator
         assert found.nmpc.solver == CALIBRATED.nmpc.solver
+
+
+def test_solves_are_bounded_and_take_no_more_than_the_set_allows():
+    bounded = {with_bounded_solves(run.parameters.parameters) for run in runs(CALIBRATED)}
+    assert bounded == {run.parameters.parameters for run in runs(CALIBRATED)}
+    assert with_bounded_solves(CALIBRATED) != CALIBRATED
+    hasty = replace(CALIBRATED, nmpc=replace(CALIBRATED.nmpc, max_iterations=1))
+    assert with_bounded_solves(hasty) == hasty
 
 
 def test_the_effect_is_the_difference_in_the_same_sea(tables):

@@ -9,6 +9,7 @@ from SALib.analyze import morris
 from SALib.test_functions import Ishigami
 from scipy.stats import qmc
 
+from softwave_min.experiments.bounded_solves import with_bounded_solves
 from softwave_min.experiments.headlines import headline_numbers
 from softwave_min.native import compiler
 from softwave_min.open_values import open_values, value_in
@@ -147,6 +148,12 @@ def finished(tmp_path_factory):
         store = Store("known", tmp_path_factory.mktemp("study"))
         assert set(investigate(store, workers, small())) == set(DECISIVE)
     return store
+
+
+def test_the_solves_of_every_set_are_bounded():
+    for sample in samples.screening(small()):
+        judged = sample.run(small()).parameters.parameters
+        assert with_bounded_solves(judged) == judged
 
 
 def test_the_screening_finds_what_decides(finished):

@@ -8,13 +8,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from softwave_min.control.nmpc import Problem
 from softwave_min.experiments import star
 from softwave_min.experiments.star import METRICS, STILL, choice, follow, measures
 from softwave_min.experiments.star_sweep import (
     EXPERIMENT,
     TOLERANCE,
-    HeldReference,
     SweepRun,
     try_variant,
     variants,
@@ -80,20 +78,6 @@ def test_candidates_and_failed_solves_are_seen_in_the_figure(short, table):
     (axes,) = drawn(table.assign(solves_failed=7)).figure.axes
     assert all("[7]" in label.get_text() for label in axes.get_yticklabels())
     plt.close("all")
-
-
-def test_held_reference_is_the_next_point():
-    class Asked:
-        def solve(self, problem, guess):
-            self.problem = problem
-            return guess
-
-    asked = Asked()
-    reference = np.arange(8.0).reshape(4, 2)
-    problem = Problem(np.zeros(6), np.zeros(3), reference, forecast=None)
-    assert HeldReference(asked).solve(problem, "guess") == "guess"
-    np.testing.assert_array_equal(asked.problem.reference, np.tile([0.0, 1.0], (4, 1)))
-    np.testing.assert_array_equal(problem.reference, reference)
 
 
 def test_other_seas_are_run_only_for_what_may_agree(short):

@@ -21,43 +21,38 @@ from numpy.typing import NDArray
 
 from softwave_min.arm import Arm
 from softwave_min.control.baseline import KinematicPlanner
-from softwave_min.control.nmpc import Problem, Solution, Solver
 from softwave_min.experiments import star
 from softwave_min.experiments.closed_loop import (
-    TRANSIENT,
     Controller,
     LoopRun,
+    failed_solves,
+    fallbacks,
     in_sea,
+    judged,
     over_seas,
     realisations,
     scenario_of,
+    settled_error,
+    simulated,
+    whole_error,
 )
 from softwave_min.experiments.experiment import Experiment, RunArrays, Tables, Tolerance
+from softwave_min.experiments.held import held_flow, simulate_told
 from softwave_min.experiments.paper import poses, wave_cases
 from softwave_min.experiments.star_path import StarParameters
 from softwave_min.parameters import ParameterSet
-from softwave_min.simulation import (
-    ClosedLoop,
-    NmpcController,
-    Scenario,
-    compile_engine,
-    root_mean_square_error,
-    simulate,
-    simulate_baseline,
-    simulate_nmpc,
-    solver_of,
-)
+from softwave_min.simulation import ClosedLoop, Scenario, compile_engine
 from softwave_min.store import Run
 
 __all__ = [
     "BASELINE",
     "EXPERIMENT",
     "NMPC",
-    "HeldFlow",
     "PathRun",
     "PlaceRun",
     "Variant",
     "integral_gain",
+    "loop_of",
     "loops",
     "path_variants",
     "places",
@@ -84,8 +79,6 @@ Window = Literal["whole", "settled"]
 WINDOWS: tuple[Window, ...] = ("whole", "settled")
 Changes = tuple[tuple[str, Any], ...]
 RunData = dict[str, NDArray[Any]]
-KEPT = ("error", "status", "source")
-"""Fields of a closed loop that the tables need."""
 
 
 @dataclass(frozen=True)
@@ -112,19 +105,6 @@ class Variant:
     def rival(self) -> str:
         """Loop of the other controller that it is compared with."""
         return self.opponent or (BASELINE if self.controller == "nmpc" else NMPC)
-
-
-@dataclass(frozen=True)
-class HeldFlow:
-    """A solver that takes the flow of the present period to last for the whole horizon."""
-
-    solver: Solver
-
-    def solve(self, problem: Problem, guess: NDArray[np.float64]) -> Solution:
-        """Solve with the flow held; the load noise stays as it is."""
-        forecast = problem.forecast
-        flow = np.array(np.broadcast_to(forecast.flow[0], forecast.flow.shape))
-        return self.solver.solve(replace(problem, forecast=replace(forecast, flow=flow)), guess)
 
 
 @dataclass(frozen=True)
@@ -319,11 +299,11 @@ def _path_name(wave: str, parameters: ParameterSet) -> str:
 
 
 def loops(run: PlaceRun | PathRun) -> RunData:
-    """Simulate all variants; ``<variant>_<field>`` for the fields in ``KEPT``."""
+    """Simulate all variants; of each by name what it is ``judged`` by."""
     found: RunData = {}
     for variant in run.variants:
-        loop = _simulated(_scenario(run, varied(run.parameters, variant.changes)), variant)
-        found |= {f"{variant.name}_{name}": getattr(loop, name) for name in KEPT}
+        scenario = _scenario(run, varied(run.parameters, variant.changes))
+        found |= judged(loop_of(scenario, variant), variant.name)
     return found
 
 
@@ -333,12 +313,11 @@ def _scenario(run: PlaceRun | PathRun, parameters: ParameterSet) -> Scenario:
     return scenario_of(LoopRun(parameters, (run.pose,)))
 
 
-def _simulated(scenario: Scenario, variant: Variant) -> ClosedLoop:
-    if variant.controller == "baseline":
-        return simulate_baseline(scenario)
+def loop_of(scenario: Scenario, variant: Variant) -> ClosedLoop:
+    """The closed loop of a variant, whose changes the scenario has already."""
     if variant.held_flow:
-        return simulate(scenario, NmpcController(scenario, HeldFlow(solver_of(scenario))))
-    return simulate_nmpc(scenario)
+        return simulate_told(scenario, held_flow)
+    return simulated(scenario, variant.controller)
 
 
 def prepare(run: Run) -> None:
@@ -366,13 +345,12 @@ def tabulate(parameters: ParameterSet, arrays: RunArrays) -> Tables:
 
 def _measured(parameters: ParameterSet, data: Any, variant: Variant) -> dict[str, Any]:
     """Errors of a loop in m, and what went wrong in it."""
-    period = varied(parameters, variant.changes).nmpc.control_period
-    error = data[f"{variant.name}_error"]
+    name, period = variant.name, varied(parameters, variant.changes).nmpc.control_period
     return {
-        "e_whole": root_mean_square_error(error),
-        "e_settled": root_mean_square_error(error[round(TRANSIENT / period) :]),
-        "solves_failed": int(np.count_nonzero(data[f"{variant.name}_status"] > 0)),
-        "fallbacks": int(np.count_nonzero(data[f"{variant.name}_source"])),
+        "e_whole": whole_error(data, name),
+        "e_settled": settled_error(data, name, period),
+        "solves_failed": failed_solves(data, name),
+        "fallbacks": fallbacks(data, name),
     }
 
 

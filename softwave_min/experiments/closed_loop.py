@@ -24,6 +24,7 @@ from softwave_min.waves import Sea
 
 __all__ = [
     "INTERVAL",
+    "JUDGED",
     "TRANSIENT",
     "Controller",
     "LoopRun",
@@ -31,6 +32,7 @@ __all__ = [
     "failed_solves",
     "fallbacks",
     "in_sea",
+    "judged",
     "kept",
     "over_seas",
     "prepare",
@@ -50,6 +52,8 @@ INTERVAL = (0.05, 0.5, 0.95)
 """Quantiles over the random seas: a 90 % interval and its median."""
 TRANSIENT = 10.0
 """Seconds after which a run counts as settled."""
+JUDGED = ("error", "status", "source")
+"""Fields of a closed loop by which it is judged."""
 
 
 @dataclass(frozen=True)
@@ -134,24 +138,29 @@ def kept(loop: ClosedLoop) -> dict[str, NDArray[Any]]:
     }
 
 
-def whole_error(data: RunData, controller: Controller) -> float:
-    """RMSE over the whole run, start included, in m."""
-    return root_mean_square_error(data[f"{controller}_error"])
+def judged(loop: ClosedLoop, name: str) -> dict[str, NDArray[Any]]:
+    """``<name>_<field>`` for the fields in ``JUDGED``: all that the next four functions read."""
+    return {f"{name}_{field}": getattr(loop, field) for field in JUDGED}
 
 
-def settled_error(data: RunData, controller: Controller, period: float) -> float:
+def whole_error(data: RunData, name: str) -> float:
+    """RMSE of the loop ``name`` over the whole run, start included, in m."""
+    return root_mean_square_error(data[f"{name}_error"])
+
+
+def settled_error(data: RunData, name: str, period: float) -> float:
     """RMSE from ``TRANSIENT`` on, in m; ``period`` is the control period in s."""
-    return root_mean_square_error(data[f"{controller}_error"][round(TRANSIENT / period) :])
+    return root_mean_square_error(data[f"{name}_error"][round(TRANSIENT / period) :])
 
 
-def failed_solves(data: RunData, controller: Controller = "nmpc") -> int:
-    """Solves that did not converge; each is in the run's ``<controller>_status``."""
-    return int(np.count_nonzero(data[f"{controller}_status"] > 0))
+def failed_solves(data: RunData, name: str = "nmpc") -> int:
+    """Solves that did not converge; each is in the run's ``<name>_status``."""
+    return int(np.count_nonzero(data[f"{name}_status"] > 0))
 
 
-def fallbacks(data: RunData, controller: Controller = "nmpc") -> int:
-    """Commands that came from the fallback; each is in the run's ``<controller>_source``."""
-    return int(np.count_nonzero(data[f"{controller}_source"]))
+def fallbacks(data: RunData, name: str = "nmpc") -> int:
+    """Commands that came from the fallback; each is in the run's ``<name>_source``."""
+    return int(np.count_nonzero(data[f"{name}_source"]))
 
 
 def over_seas(values: ArrayLike) -> tuple[float, float, float]:

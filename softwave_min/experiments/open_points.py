@@ -19,6 +19,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from softwave_min.calibration import search_settings
+from softwave_min.experiments.bounded_solves import with_bounded_solves
 from softwave_min.experiments.closed_loop import over_seas, prepare
 from softwave_min.experiments.experiment import Experiment, RunArrays, Tables, Tolerance
 from softwave_min.experiments.headlines import (
@@ -62,9 +63,6 @@ slower: they are measured in `BRIEF` and in the first sea."""
 BRIEF_CELLS = Cells((("P3", 3.0),), ("P3",), (3.0,), headline_cells().failed_segment)
 BRIEF = 1.5
 """Duration of their loops, in s: it has the start, where the solvers work most."""
-ITERATIONS = 6
-"""Most per solve: in sets far from the nominal one many solves would take all they are given,
-for a closed loop that hardly differs."""
 REALISATIONS = "sea.realisations"
 """Its reading is not another loop but the median over that many seas."""
 TOLERANCE_SHARE, TOLERANCE_POINTS = 0.15, 3.0
@@ -160,8 +158,7 @@ def loops(parameters: ParameterSet, field: str, offset: int) -> HeadlineRun:
     """The closed loops by which a parameter set is judged in one sea."""
     sea = replace(parameters.sea, seed=parameters.sea.seed + offset)
     preview = replace(parameters.preview, seed=parameters.preview.seed + offset)
-    nmpc = replace(parameters.nmpc, max_iterations=min(ITERATIONS, parameters.nmpc.max_iterations))
-    found = replace(parameters, sea=sea, preview=preview, nmpc=nmpc)
+    found = with_bounded_solves(replace(parameters, sea=sea, preview=preview))
     if field in SLOW:
         brief = replace(found.simulation, duration=min(BRIEF, found.simulation.duration))
         return HeadlineRun(replace(found, simulation=brief), BRIEF_CELLS)

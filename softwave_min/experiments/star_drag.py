@@ -10,24 +10,24 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 from softwave_min.experiments.closed_loop import (
-    TRANSIENT,
     failed_solves,
     fallbacks,
     in_sea,
+    judged,
     prepare,
     realisations,
+    settled_error,
     simulated,
+    whole_error,
 )
 from softwave_min.experiments.experiment import Experiment, RunArrays, Tables
 from softwave_min.experiments.paper import wave_cases
 from softwave_min.experiments.star import StarRun, choice, scenario_of
 from softwave_min.parameters import ParameterSet
-from softwave_min.simulation import root_mean_square_error
 from softwave_min.store import Run
 
 __all__ = ["EXPERIMENT", "LOADS", "follow", "loaded"]
@@ -44,14 +44,8 @@ def loaded(parameters: ParameterSet, load: str) -> ParameterSet:
 
 
 def follow(run: StarRun) -> dict[str, NDArray[Any]]:
-    """Follow the star under NMPC; ``nmpc_<field>`` with tip and target (T + 1, 2) in m."""
-    loop = simulated(scenario_of(run.parameters, run.star), "nmpc")
-    return {
-        "nmpc_tip": loop.tips[:, -1],
-        "nmpc_target": loop.target,
-        "nmpc_status": loop.status,
-        "nmpc_source": loop.source,
-    }
+    """Follow the star under NMPC; what ``nmpc`` is ``judged`` by."""
+    return judged(simulated(scenario_of(run.parameters, run.star), "nmpc"), "nmpc")
 
 
 def _cases(parameters: ParameterSet) -> Iterator[tuple[str, str, ParameterSet]]:
@@ -78,18 +72,17 @@ def runs(parameters: ParameterSet) -> Sequence[Run]:
 
 def tabulate(parameters: ParameterSet, arrays: RunArrays) -> Tables:
     """One row per load, wave case and sea: RMSE in m, over the run and after the start."""
-    start = round(TRANSIENT / parameters.nmpc.control_period)
+    period = parameters.nmpc.control_period
     rows = []
     for load, case, one in _cases(parameters):
         found = arrays[_name(load, case, one)]
-        error = np.linalg.norm(found["nmpc_tip"] - found["nmpc_target"], axis=1)
         rows.append(
             {
                 "load": load,
                 "wave": case,
                 "seed": one.sea.seed,
-                "rmse": root_mean_square_error(error),
-                "rmse_settled": root_mean_square_error(error[start:]),
+                "rmse": whole_error(found, "nmpc"),
+                "rmse_settled": settled_error(found, "nmpc", period),
                 "solves_failed": failed_solves(found),
                 "fallbacks": fallbacks(found),
             }

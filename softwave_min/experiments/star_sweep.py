@@ -11,15 +11,20 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
-import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Strict
 from pydantic.dataclasses import dataclass as validated
 
-from softwave_min.control.nmpc import Problem, Solution, Solver
-from softwave_min.experiments.closed_loop import in_sea, prepare, realisations, simulated
+from softwave_min.experiments.closed_loop import (
+    failed_solves,
+    in_sea,
+    prepare,
+    realisations,
+    simulated,
+)
 from softwave_min.experiments.experiment import Experiment, RunArrays, Tables, Tolerance
+from softwave_min.experiments.held import held_reference, simulate_told
 from softwave_min.experiments.star import (
     METRICS,
     STILL,
@@ -38,20 +43,17 @@ from softwave_min.parameters import (
     read_toml,
     validate,
 )
-from softwave_min.simulation import NmpcController, simulate, solver_of
 from softwave_min.store import Run
 
 __all__ = [
     "EXPERIMENT",
     "TOLERANCE",
-    "HeldReference",
     "SweepRun",
     "Variant",
     "try_variant",
     "variants",
 ]
 
-Floats = NDArray[np.float64]
 Row = Mapping[str, Any]
 
 TOLERANCE = 0.15
@@ -106,18 +108,6 @@ class SweepRun:
     """Wave cases and the paper's RMSE in m; the last case is run first."""
 
 
-@dataclass(frozen=True)
-class HeldReference:
-    """A solver that takes the next point of the reference for the whole horizon."""
-
-    solver: Solver
-
-    def solve(self, problem: Problem, guess: Floats) -> Solution:
-        """Solve with the reference held."""
-        reference = np.broadcast_to(problem.reference[0], problem.reference.shape)
-        return self.solver.solve(replace(problem, reference=np.array(reference)), guess)
-
-
 def try_variant(run: SweepRun) -> dict[str, NDArray[Any]]:
     """Follow a star of the sweep under NMPC.
 
@@ -146,8 +136,7 @@ def _tried(run: SweepRun, name: str, parameters: ParameterSet) -> dict[str, NDAr
     if run.variant.previewed:
         loop = simulated(scenario, "nmpc")
     else:
-        held = HeldReference(solver_of(scenario))
-        loop = simulate(scenario, NmpcController(scenario, held))
+        loop = simulate_told(scenario, held_reference)
     return {
         "target": loop.target,
         f"{name}_tip": loop.tips[:, -1],
@@ -216,7 +205,7 @@ def _rows(
     star, cases = variant.star, (STILL, *chosen.rmse)
     tried = [case for case in cases if f"{case}_tip" in found]
     values = {case: measures(star, found, case, period) for case in tried}
-    failed = sum(np.count_nonzero(found[f"{case}_status"] > 0) for case in tried)
+    failed = sum(failed_solves(found, case) for case in tried)
     for metric in METRICS:
         deviations = {
             case: _deviation(values[case][metric], paper)
@@ -235,7 +224,7 @@ def _rows(
             **{case: values[case][metric] if case in tried else None for case in cases},
             "deviation": largest,
             "candidate": len(deviations) == len(chosen.rmse) and largest <= TOLERANCE,
-            "solves_failed": int(failed),
+            "solves_failed": failed,
         }
 
 

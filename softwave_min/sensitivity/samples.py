@@ -13,6 +13,7 @@ from pydantic.dataclasses import dataclass as validated
 from SALib.sample import morris
 from scipy.stats import qmc
 
+from softwave_min.experiments.bounded_solves import with_bounded_solves
 from softwave_min.experiments.headlines import HeadlineRun, attempted_numbers, headline_cells
 from softwave_min.open_values import open_values, rounded, value_in, with_values
 from softwave_min.parameters import (
@@ -89,9 +90,6 @@ class Study:
 
     seed: Seed
     base: str
-    iterations: Count
-    """Most per solve: in sets far from the nominal one many solves would take all they are given,
-    for a closed loop that hardly differs."""
     confidence: Positive
     screening: Screening
     important: Important
@@ -127,10 +125,9 @@ class Sample:
 
     def run(self, settings: Study) -> Run:
         """Its run: the base set with these values, in this sea."""
-        parameters = with_values(parameter_set(settings.base), self.values)
+        parameters = with_bounded_solves(with_values(parameter_set(settings.base), self.values))
         parameters = replace(
             parameters,
-            nmpc=replace(parameters.nmpc, max_iterations=settings.iterations),
             sea=replace(parameters.sea, seed=parameters.sea.seed + self.sea),
             preview=replace(parameters.preview, seed=parameters.preview.seed + self.sea),
         )
