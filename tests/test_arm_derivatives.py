@@ -79,7 +79,19 @@ def test_drag_slope(arm):
     for section, *_ in arm.terms.points[::2]:
         drag = sum(section.loads(arm.other[2], velocity, flow, ca.SX.zeros(2))[:2])
         expected = -ca.jtimes(drag, arm.qd, arm.other)
-        arm.agree(section.drag_slope(arm.other[2], velocity, flow, arm.other[:2]), expected)
+        slope = section.drag_slope(arm.other[2], velocity - flow)
+        arm.agree(slope @ arm.other[:2], expected)
+
+
+def test_implicit_drag(arm):
+    angle, relative, change = arm.other[2], arm.qd[:2], arm.other[:2]
+    still = ca.SX.zeros(2)
+    for section, *_ in arm.terms.points[::2]:
+        force, by_angle, by_relative = section.implicit_drag(angle, relative, change)
+        drag = sum(section.loads(angle, relative, still, still)[:2])
+        arm.agree(force, section.drag_slope(angle, relative) @ change - drag)
+        arm.agree(by_angle, ca.jacobian(force, arm.other)[:, 2])
+        arm.agree(by_relative, ca.jacobian(force, arm.qd)[:, :2])
 
 
 def test_drag_slope_is_rounded_off_where_the_flow_turns():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softwave_min.experiments import actuator_failure, error_ratio, random_seas
-from softwave_min.experiments.closed_loop import LoopRun, closed_loops
+from softwave_min.experiments.closed_loop import JUDGED, LoopRun, closed_loops
 from softwave_min.experiments.random_seas import SEEDS, in_many_seas, runs, tabulate
 
 SEAS = 3
@@ -59,7 +59,7 @@ def test_what_is_kept_of_a_loop_is_what_the_sweep_has(nominal):
     brief = replace(nominal, simulation=replace(nominal.simulation, duration=0.5))
     run = LoopRun(brief, ((0.7, -3.7),))
     whole, kept = closed_loops(run), random_seas.errors(run)
-    assert {name.partition("_")[2] for name in kept} == set(random_seas.KEPT)
+    assert {name.partition("_")[2] for name in kept} == set(JUDGED)
     for name, array in kept.items():
         np.testing.assert_array_equal(array, whole[name])
 

@@ -16,10 +16,12 @@ import casadi as ca
 __all__ = [
     "cross_flow_convection",
     "cross_flow_force",
+    "drag_bends",
     "drag_force",
     "drag_slopes",
     "flow_at",
     "flow_gradient",
+    "in_plane",
     "local_frame",
 ]
 
@@ -90,6 +92,28 @@ def drag_slopes(relative_velocity: ca.SX, normal: ca.SX, tangential: ca.SX) -> c
     """
     speed = ca.sqrt(relative_velocity**2 + SLOPE_ROUNDING**2)
     return 2 * ca.vertcat(normal, tangential) * speed
+
+
+def drag_bends(relative_velocity: ca.SX, change: ca.SX, normal: ca.SX, tangential: ca.SX) -> ca.SX:
+    """Diagonal of the derivative of ``drag_slopes`` x ``change`` - ``drag_force`` by the
+    relative velocity, in N s/m.
+    """
+    speed = ca.sqrt(relative_velocity**2 + SLOPE_ROUNDING**2)
+    bend = ca.fabs(relative_velocity) + relative_velocity / speed * change
+    return 2 * ca.vertcat(normal, tangential) * bend
+
+
+def in_plane(angle: ca.SX, diagonal: ca.SX) -> ca.SX:
+    """The symmetric matrix R^T diag(normal, tangential) R in (x, z), 2 x 2."""
+    cosine, sine = ca.cos(angle), ca.sin(angle)
+    normal, tangential = diagonal[0], diagonal[1]
+    mixed = (tangential - normal) * (sine * cosine)
+    return ca.blockcat(
+        [
+            [normal * sine**2 + tangential * cosine**2, mixed],
+            [mixed, normal * cosine**2 + tangential * sine**2],
+        ]
+    )
 
 
 def cross_flow_force(angle: ca.SX, acceleration: ca.SX) -> ca.SX:

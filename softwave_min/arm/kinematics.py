@@ -51,6 +51,10 @@ class BodyPoint:
     """(n,), derivative of the tangent's direction by q, dimensionless."""
     qd: ca.SX
     """(n,), rates of the bending angles, in rad/s."""
+    base: BodyPoint | None
+    """Base of the point's segment; none for that of the arm itself."""
+    lever: ca.SX
+    """(x, z) from the segment's base, in m."""
 
     @property
     def jacobian(self) -> ca.SX:
@@ -62,52 +66,48 @@ class BodyPoint:
     @property
     def velocity(self) -> ca.SX:
         """J q', in m/s."""
-        return self.jacobian @ self.qd
+        return self.product(self.qd)
 
     @property
     def angular_velocity(self) -> ca.SX:
         """Rate of the tangent's direction, in rad/s."""
         return ca.dot(self.angle_jacobian, self.qd)
 
-    @property
-    def convective_acceleration(self) -> ca.SX:
-        """J'(s, q, q') q', in m/s^2."""
-        return sum(self.convective_parts(), start=ca.SX.zeros(2))
-
-    def convective_parts(self) -> list[ca.SX]:
-        """J' q' by the largest index of the second derivatives in it."""
-        rates = ca.vertsplit(self.qd)
-        return [
-            rate**2 * second + 2 * before * rate * quarter_turn(first)
-            for rate, before, (first, second, _) in zip(
-                rates, _sums_before(rates), self.derivatives, strict=False
-            )
-        ]
+    def product(self, rates: ca.SX) -> ca.SX:
+        """J ``rates``, 2."""
+        if self.base is None:
+            return ca.SX.zeros(2)
+        return self.base.product(rates) + self._lever_product(rates)
 
     def gradient_of_product(self, rates: ca.SX) -> ca.SX:
         """Derivative of J ``rates`` by q, 2 x n; for rates = q' it is J'."""
-        parts = ca.vertsplit(rates)
-        columns = [
-            rate * second + before * quarter_turn(first)
-            for rate, before, (first, second, _) in zip(
-                parts, _sums_before(parts), self.derivatives, strict=False
-            )
-        ]
-        beyond = [
-            rate * quarter_turn(d[0]) for rate, d in zip(parts, self.derivatives, strict=False)
-        ]
-        return self._padded(columns, beyond)
+        if self.base is None:
+            return ca.SX.zeros(2, self.qd.numel())
+        turning, own = self._turning(rates)
+        first, second, _ = self.derivatives[-1]
+        return self._grown(
+            self.base.gradient_of_product(rates),
+            self._lever_product(rates),
+            turning * quarter_turn(first) + own * second,
+        )
+
+    @property
+    def convective_acceleration(self) -> ca.SX:
+        """J'(s, q, q') q', in m/s^2."""
+        if self.base is None:
+            return ca.SX.zeros(2)
+        return self.base.convective_acceleration + self._lever_convection
 
     def gradient_of_convective_acceleration(self) -> ca.SX:
         """Derivative of J' q' by q, 2 x n."""
-        rates = ca.vertsplit(self.qd)
-        columns = [
-            rate**2 * third + 2 * before * rate * quarter_turn(second) - before**2 * first
-            for rate, before, (first, second, third) in zip(
-                rates, _sums_before(rates), self.derivatives, strict=False
-            )
-        ]
-        return self._padded(columns, [quarter_turn(part) for part in self.convective_parts()])
+        if self.base is None:
+            return ca.SX.zeros(2, self.qd.numel())
+        turning, own = self._turning(self.qd)
+        return self._grown(
+            self.base.gradient_of_convective_acceleration(),
+            self._lever_convection,
+            _turned_convection(turning, own, self.derivatives[-1]),
+        )
 
     def hessian_along(self, force: ca.SX) -> ca.SX:
         """Derivative of J^T ``force`` by q at a fixed force, n x n, symmetric."""
@@ -120,13 +120,38 @@ class BodyPoint:
                 matrix[j, k] = matrix[k, j] = ca.dot(quarter_turn(first), force)
         return matrix
 
-    def _padded(self, columns: list[ca.SX], beyond: list[ca.SX]) -> ca.SX:
-        """Columns k with all parts of larger index than k added, out to n columns."""
-        total = ca.SX.zeros(2)
-        for k in reversed(range(len(columns))):
-            columns[k] = columns[k] + total
-            total = total + beyond[k]
-        return ca.horzcat(*columns, ca.SX.zeros(2, self.qd.numel() - len(columns)))
+    def _turning(self, rates: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Sum of the rates of all segments before the point's own, and its own."""
+        own = len(self.derivatives) - 1
+        return sum(ca.vertsplit(rates)[:own], start=ca.SX(0)), rates[own]
+
+    def _lever_product(self, rates: ca.SX) -> ca.SX:
+        """The part of J ``rates`` by which the point moves against its segment's base."""
+        turning, own = self._turning(rates)
+        return turning * quarter_turn(self.lever) + own * self.derivatives[-1][0]
+
+    @property
+    def _lever_convection(self) -> ca.SX:
+        first, second, _ = self.derivatives[-1]
+        return _turned_convection(*self._turning(self.qd), (self.lever, first, second))
+
+    def _grown(self, base: ca.SX, lever: ca.SX, own: ca.SX) -> ca.SX:
+        """Derivative by q of a vector at the base plus one of the lever: whatever bends
+        before the segment turns the latter as a whole; ``own`` is by the segment's angle.
+        """
+        before = len(self.derivatives) - 1
+        columns = [base[:, k] + quarter_turn(lever) for k in range(before)]
+        return ca.horzcat(*columns, own, ca.SX.zeros(2, self.qd.numel() - before - 1))
+
+
+def _turned_convection(
+    turning: ca.SX, own: ca.SX, derivatives: tuple[ca.SX, ca.SX, ca.SX]
+) -> ca.SX:
+    """Second time derivative of a vector that turns and changes with its segment's angle,
+    at constant rates of both.
+    """
+    zeroth, first, second = derivatives
+    return own**2 * second + 2 * turning * own * quarter_turn(first) - turning**2 * zeroth
 
 
 def curvature_moments(angle: ca.SX) -> list[tuple[ca.SX, ca.SX]]:
@@ -139,9 +164,9 @@ def curvature_moments(angle: ca.SX) -> list[tuple[ca.SX, ca.SX]]:
     """
     cosine, sine = ca.cos(angle), ca.sin(angle)
     small = ca.fabs(angle) < SERIES_LIMIT
-    # Both branches are always evaluated, and differentiated: each gets an
-    # argument that it can bear.
-    near = _highest_by_series(ca.if_else(small, angle, 0))
+    # Both branches are always evaluated, and differentiated: the recurrence must not
+    # divide by zero.
+    near = _highest_by_series(angle)
     far = _highest_by_recurrence(ca.if_else(small, SERIES_LIMIT, angle), cosine, sine)
     real, imaginary = (ca.if_else(small, *parts) for parts in zip(near, far, strict=True))
     moments = [(real, imaginary)]
@@ -204,6 +229,8 @@ def body_point(
         derivatives=[*upstream, own],
         angle_jacobian=ca.vertcat(*[1.0] * segment, s, *[0.0] * (q.numel() - segment - 1)),
         qd=base.qd,
+        base=base,
+        lever=lever,
     )
 
 
@@ -212,18 +239,10 @@ def segment_bases(
 ) -> list[BodyPoint]:
     """Motion of the base of every segment and, last, of the arm's tip."""
     n = q.numel()
-    bases = [BodyPoint(base_position, base_angle, [], ca.DM.zeros(n), qd)]
+    bases = [BodyPoint(base_position, base_angle, [], ca.DM.zeros(n), qd, None, ca.SX.zeros(2))]
     for segment in range(n):
         bases.append(body_point(bases[-1], segment, q, length[segment], 1.0))
     return bases
-
-
-def _sums_before(rates: list[ca.SX]) -> list[ca.SX]:
-    """Sum of the entries before each entry."""
-    sums = [ca.SX(0)]
-    for rate in rates[:-1]:
-        sums.append(sums[-1] + rate)
-    return sums
 
 
 def quarter_turn(vector: ca.SX) -> ca.SX:

@@ -25,12 +25,14 @@ from softwave_min.arm.dynamics import (
 from softwave_min.arm.hydrodynamics import (
     cross_flow_convection,
     cross_flow_force,
+    drag_bends,
     drag_force,
     drag_slopes,
     flow_at,
+    in_plane,
     local_frame,
 )
-from softwave_min.arm.kinematics import BodyPoint, body_point, segment_bases
+from softwave_min.arm.kinematics import BodyPoint, body_point, quarter_turn, segment_bases
 from softwave_min.parameters import ArmParameters, FluidParameters
 
 __all__ = [
@@ -189,18 +191,37 @@ class Section:
         """Loads of the moving water, in the order of ``LOAD_TERMS``."""
         frame = local_frame(angle)
         drag = drag_force(frame @ (velocity - flow), *self.drag_factors)
-        inertia = self._fluid_inertia * (frame @ flow_rate)
         return (
             frame.T @ ca.vertcat(drag[0], 0),
             frame.T @ ca.vertcat(0, drag[1]),
-            frame.T @ inertia,
+            self.inertia_load(angle, flow_rate),
         )
 
-    def drag_slope(self, angle: ca.SX, velocity: ca.SX, flow: ca.SX, change: ca.SX) -> ca.SX:
-        """Fall of the drag force with a ``change`` of the velocity, linearised."""
+    def inertia_load(self, angle: ca.SX, flow_rate: ca.SX) -> ca.SX:
+        """Load of the accelerated water."""
         frame = local_frame(angle)
-        slopes = drag_slopes(frame @ (velocity - flow), *self.drag_factors)
-        return frame.T @ (slopes * (frame @ change))
+        return frame.T @ (self._fluid_inertia * (frame @ flow_rate))
+
+    def drag_slope(self, angle: ca.SX, relative: ca.SX) -> ca.SX:
+        """Fall of the drag with the velocity, linearised, 2 x 2."""
+        slopes = drag_slopes(local_frame(angle) @ relative, *self.drag_factors)
+        return in_plane(angle, slopes)
+
+    def implicit_drag(
+        self, angle: ca.SX, relative: ca.SX, change: ca.SX
+    ) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """The force ``drag_slope`` @ ``change`` less the drag, and its derivatives by the angle
+        and by the relative velocity: 2, 2 and 2 x 2.
+        """
+        frame = local_frame(angle)
+        velocity, step = frame @ relative, frame @ change
+        slopes = drag_slopes(velocity, *self.drag_factors)
+        bends = drag_bends(velocity, step, *self.drag_factors)
+        force = slopes * step - drag_force(velocity, *self.drag_factors)
+        # The frame's derivative by its angle is a quarter turn of its components.
+        by_angle = bends * quarter_turn(velocity) + slopes * quarter_turn(step)
+        by_angle -= quarter_turn(force)
+        return frame.T @ force, frame.T @ by_angle, in_plane(angle, bends)
 
     @property
     def _added_mass(self) -> ca.SX:

@@ -64,7 +64,7 @@ class Arm:
 
     def segment_tips(self, q: ArrayLike) -> Floats:
         """Position of each segment's tip, in m: (n, 2) or (T, n, 2)."""
-        flat = self._column(_statics_function(self.structure), "tips", q)
+        flat = self._column(_statics_function(self.structure, "tips"), "tips", q)
         tips: Floats = flat.reshape(*flat.shape[:-1], self.segments, 2)
         return tips
 
@@ -81,19 +81,21 @@ class Arm:
 
     def tip_jacobian(self, q: ArrayLike) -> Floats:
         """J(q) of the arm's tip, in m/rad: (2, n) or (T, 2, n)."""
-        return self._matrix(_statics_function(self.structure), "tip_jacobian", 2, q)
+        return self._matrix(_statics_function(self.structure, "tip_jacobian"), "tip_jacobian", 2, q)
 
     def body_inertia(self, q: ArrayLike) -> Floats:
         """M(q) of the body alone, in kg m^2: (n, n) or (T, n, n)."""
-        return self._matrix(_statics_function(self.structure), "body_inertia", self.segments, q)
+        function = _statics_function(self.structure, "body_inertia")
+        return self._matrix(function, "body_inertia", self.segments, q)
 
     def added_inertia(self, q: ArrayLike) -> Floats:
         """Generalised added mass, in kg m^2: (n, n) or (T, n, n)."""
-        return self._matrix(_statics_function(self.structure), "added_inertia", self.segments, q)
+        function = _statics_function(self.structure, "added_inertia")
+        return self._matrix(function, "added_inertia", self.segments, q)
 
     def gravity_vector(self, q: ArrayLike) -> Floats:
         """G(q), weight less buoyancy, in N m: (n,) or (T, n)."""
-        return self._column(_statics_function(self.structure), "gravity", q)
+        return self._column(_statics_function(self.structure, "gravity"), "gravity", q)
 
     def kinetic_energy(self, q: ArrayLike, qd: ArrayLike) -> Floats:
         """Energy of the body and its added mass, in J: () or (T,)."""
@@ -103,7 +105,9 @@ class Arm:
 
     def potential_energy(self, q: ArrayLike) -> Floats:
         """Energy of weight, buoyancy and bending, in J: () or (T,)."""
-        weight = self._column(_statics_function(self.structure), "gravity_potential", q)[..., 0]
+        weight = self._column(
+            _statics_function(self.structure, "gravity_potential"), "gravity_potential", q
+        )[..., 0]
         angles = np.asarray(q, dtype=float)
         energy: Floats = weight + (self.stiffness_vector(q) * angles).sum(axis=-1) / 2
         return energy
@@ -147,9 +151,8 @@ class Arm:
 
     def fluid_load(self, q: ArrayLike, qd: ArrayLike, flow: Floats, time: float = 0.0) -> Floats:
         """F_E without the added mass, in N m: (n,) or (T, n). See ``load_terms``."""
-        total: Floats = sum(self.load_terms(q, qd, flow, time).values(), start=np.zeros(1))
-        summed: Floats = total.sum(axis=-1)
-        return summed
+        times = np.full((*np.asarray(q).shape[:-1], 1), time)
+        return self._column(_fluid_load_function(self.structure), "load", q, qd, flow, times)
 
     def _columns(
         self, function: ca.Function, outputs: Sequence[str], *series: ArrayLike
@@ -228,21 +231,12 @@ def _point_function(structure: Structure, segment: int, s: float) -> ca.Function
 
 
 @cache
-def _statics_function(structure: Structure) -> ca.Function:
+def _statics_function(structure: Structure, term: str) -> ca.Function:
+    """One of the terms that depend on q alone."""
     on = _Symbols.of(structure)
     terms = on.mechanics(structure)
-    return _function(
-        "statics",
-        [on.q, on.packed],
-        {
-            "tips": ca.vertcat(*terms.tips),
-            "tip_jacobian": terms.tip_jacobian,
-            "body_inertia": terms.body_inertia,
-            "added_inertia": terms.added_inertia,
-            "gravity": terms.gravity,
-            "gravity_potential": terms.gravity_potential,
-        },
-    )
+    value = ca.vertcat(*terms.tips) if term == "tips" else getattr(terms, term)
+    return _function("statics", [on.q, on.packed], {term: value})
 
 
 @cache
@@ -257,3 +251,10 @@ def _load_function(structure: Structure) -> ca.Function:
     on = _Symbols.of(structure)
     terms = on.mechanics(structure).load_terms(on.flow, on.time)
     return _function("load", [on.q, on.qd, on.flow, on.time, on.packed], terms)
+
+
+@cache
+def _fluid_load_function(structure: Structure) -> ca.Function:
+    on = _Symbols.of(structure)
+    load = on.mechanics(structure).fluid_load(on.flow, on.time)
+    return _function("load", [on.q, on.qd, on.flow, on.time, on.packed], {"load": load})

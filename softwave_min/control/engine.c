@@ -333,8 +333,10 @@ static void differentiate(const engine *e, pieces *p, int k) {
     double length = e->period / by->steps;
     double *a = lane(p->wide_a, x * x, k), *b = lane(p->wide_b, x * n, k);
     const double *point = lane(p->wide_points, (x + n) * points(e), k);
-    for (int i = 0; i < states; i++) a[i] = i / WIDE % (x + 1) == 0;
+    for (int i = 0; i < states; i++) a[i] = 0;
     for (int i = 0; i < commands; i++) b[i] = 0;
+    for (int i = 0; i < x; i++)
+        for (int l = 0; l < WIDE; l++) a[i * (x + 1) * WIDE + l] = 1;
     for (int s = 0; s < by->steps; s++) {
         for (int i = 0; i < states; i++) p->begun[i] = a[i], a[i] = 0;
         for (int i = 0; i < commands; i++) p->begun[states + i] = b[i], b[i] = 0;

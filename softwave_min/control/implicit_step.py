@@ -199,11 +199,9 @@ class ImplicitStep:
         if self._held.structure.rotary_inertia:
             total += self._arm.rotary_inertia
         for section, point, weight, _ in self._arm.points:
-            columns = [
-                self._change_force(section, point, column)
-                for column in ca.horzsplit(point.jacobian)
-            ]
-            total += weight * point.jacobian.T @ ca.horzcat(*columns)
+            relative = point.velocity - flow_at(self._flow, self._arm.offset(point))
+            response = self._response(section, point.angle, relative)
+            total += weight * point.jacobian.T @ response @ point.jacobian
         return total
 
     def residual(self, points: ca.SX, change: ca.SX) -> ca.SX:
@@ -251,10 +249,10 @@ class ImplicitStep:
             motion = self._motion(point, change)
             force, _ = self._section_force(section, *motion)
             slopes = self._section_slopes(section, motion)
-            reach = ca.horzcat(point.jacobian.T, point.angle_jacobian)
+            reach = weight * ca.horzcat(point.jacobian.T, point.angle_jacobian)
             angle_wise, rate_wise = self._motion_by_state(point, change)
-            by_angle = point.hessian_along(force) + reach @ slopes @ angle_wise
-            total += weight * ca.horzcat(by_angle, reach @ slopes @ rate_wise)
+            by_angle = point.hessian_along(weight * force) + reach @ (slopes @ angle_wise)
+            total += ca.horzcat(by_angle, reach @ (slopes @ rate_wise))
         return total
 
     def residual_by_torque(self) -> ca.SX:
@@ -267,10 +265,10 @@ class ImplicitStep:
             point.angle,
             point.angular_velocity,
             point.velocity,
-            flow_at(self._flow, offset),
+            point.velocity - flow_at(self._flow, offset),
             flow_at(self._flow_rate, offset),
             point.convective_acceleration,
-            point.jacobian @ change,
+            point.product(change),
         )
 
     def _motion_by_state(self, point: BodyPoint, change: ca.SX) -> tuple[ca.SX, ca.SX]:
@@ -283,42 +281,55 @@ class ImplicitStep:
             turning,
             ca.SX.zeros(1, n),
             jacobian_rate,
-            flow_gradient(self._flow, offset) @ jacobian,
+            jacobian_rate - flow_gradient(self._flow, offset) @ jacobian,
             flow_gradient(self._flow_rate, offset) @ jacobian,
             point.gradient_of_convective_acceleration(),
             point.gradient_of_product(change),
         )
         by_rate = ca.vertcat(
-            ca.SX.zeros(1, n), turning, jacobian, still, still, 2 * jacobian_rate, still
+            ca.SX.zeros(1, n), turning, jacobian, jacobian, still, 2 * jacobian_rate, still
         )
         return by_angle, by_rate
 
+    def _response(self, section: Section, angle: ca.SX, relative: ca.SX) -> ca.SX:
+        """Derivative of the force by d, 2 x 2."""
+        axes = ca.horzsplit(ca.SX.eye(2))
+        mass = section.mass * ca.SX.eye(2)
+        mass += ca.horzcat(*(section.added_force(angle, axis) for axis in axes))
+        return mass + self._h * section.drag_slope(angle, relative)
+
     def _section_force(
-        self, section: Section, angle: ca.SX, spin: ca.SX, *vectors: ca.SX
+        self, section: Section, angle: ca.SX, *vectors: ca.SX
     ) -> tuple[ca.SX, ca.SX]:
         """Force and moment on a section in the residual, in N s and N m s."""
-        velocity, flow, flow_rate, convective, change = vectors
+        drag, _, _ = section.implicit_drag(angle, vectors[2], vectors[-1])
+        force, moment = self._force_without_drag(section, angle, *vectors)
+        return force + self._h * drag, moment
+
+    def _force_without_drag(
+        self, section: Section, angle: ca.SX, spin: ca.SX, *vectors: ca.SX
+    ) -> tuple[ca.SX, ca.SX]:
+        velocity, _, flow_rate, convective, change = vectors
         h = self._h
         accelerated = change + h * convective
         convection, moment = section.added_convection(angle, spin, velocity)
-        loads = section.loads(angle, velocity, flow, flow_rate)
         force = (
             section.mass * accelerated
             + section.added_force(angle, accelerated)
-            + h * section.drag_slope(angle, velocity, flow, change)
-            + h * (convection - section.weight - sum(loads, start=ca.SX.zeros(2)))
+            + h * (convection - section.weight - section.inertia_load(angle, flow_rate))
         )
         return force, h * moment
-
-    def _change_force(self, section: Section, point: BodyPoint, change: ca.SX) -> ca.SX:
-        """The part of the force that grows with d."""
-        flow = flow_at(self._flow, self._arm.offset(point))
-        slope = section.drag_slope(point.angle, point.velocity, flow, change)
-        return section.mass * change + section.added_force(point.angle, change) + self._h * slope
 
     def _section_slopes(self, section: Section, motion: tuple[ca.SX, ...]) -> ca.SX:
         """Derivative of (force, moment) by the stacked motion, 3 x 12."""
         symbols = [ca.SX.sym("z", *part.shape) for part in motion]
-        wrench = ca.vertcat(*self._section_force(section, *symbols))
-        slopes = ca.jacobian(wrench, ca.vertcat(*symbols))
-        return ca.substitute([slopes], symbols, list(motion))[0]
+        wrench = ca.vertcat(*self._force_without_drag(section, *symbols))
+        smooth = ca.jacobian(wrench, ca.vertcat(*symbols))
+        slopes = ca.substitute([smooth], symbols, list(motion))[0]
+        angle, relative, change = motion[0], motion[3], motion[-1]
+        _, by_angle, by_relative = section.implicit_drag(angle, relative, change)
+        # Rows of the force; columns of the angle, the relative velocity and the change.
+        slopes[:2, 0] += self._h * by_angle
+        slopes[:2, 4:6] += self._h * by_relative
+        slopes[:2, 10:] += self._h * section.drag_slope(angle, relative)
+        return slopes

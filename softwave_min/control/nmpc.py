@@ -13,8 +13,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Protocol
+from typing import Any, Protocol
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
@@ -112,6 +113,33 @@ def scales(parameters: NmpcParameters) -> tuple[float, float, float]:
     return tip, last, float(np.sqrt(parameters.step_weight))
 
 
+class _Buffered:
+    """A CasADi function that reads and writes arrays in place: to convert them would cost
+    a tenth of a solve.
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        buffer: Any
+        buffer, self._evaluate = function.buffer()
+        self._buffer = buffer
+        # CasADi stores by columns, so that each array here holds the transpose.
+        self.arguments = [np.zeros(function.size_in(i)[::-1]) for i in range(function.n_in())]
+        self._results = [np.zeros(function.size_out(i)[::-1]) for i in range(function.n_out())]
+        for i, array in enumerate(self.arguments):
+            buffer.set_arg(i, array.reshape(-1).data)
+        for i, array in enumerate(self._results):
+            buffer.set_res(i, array.reshape(-1).data)
+
+    def __call__(self, *columns: Floats) -> list[Floats]:
+        """Results for these first arguments, one column after the other; overwritten by the
+        next call.
+        """
+        for array, given in zip(self.arguments, columns, strict=False):
+            array[:] = given
+        self._evaluate()
+        return [array.T for array in self._results]
+
+
 class GaussNewton:
     """Gauss-Newton SQP with bounds and line search, in NumPy: the readable statement.
 
@@ -132,7 +160,8 @@ class GaussNewton:
         self._values = arm.values
         self._gains = gains
         steps = PeriodSteps.of(parameters)
-        self._rollout = rollout_function(arm.structure, steps, parameters.horizon)
+        self._rollout = _Buffered(rollout_function(arm.structure, steps, parameters.horizon))
+        self._rollout.arguments[4][:], self._rollout.arguments[5][:] = gains, arm.values
         each, last, _ = scales(parameters)
         self._tip_scale = np.repeat([each] * (parameters.horizon - 1) + [last], 2)
         self._difference = self._difference_matrix()
@@ -209,18 +238,9 @@ class GaussNewton:
     def predict(self, state: Floats, inputs: Floats, forecast: Forecast) -> Rollout:
         """Roll the model out and differentiate the tips by the inputs."""
         n, horizon = self._segments, self.parameters.horizon
-        answer = self._rollout.call(
-            [
-                state,
-                inputs.T,
-                forecast.flow.T,
-                forecast.disturbance.T,
-                np.tile(self._gains[:, None], horizon),
-                np.tile(self._values[:, None], horizon),
-            ]
-        )
+        given = (state, inputs, forecast.flow, forecast.disturbance)
         states, by_state, by_input, tips, jacobians, torques, torque_by_state, torque_by_input = (
-            part.full() for part in answer
+            self._rollout(*given)
         )
         sensitivity = np.zeros((2 * horizon, n * horizon))
         torque_sensitivity = np.zeros((n * horizon, n * horizon))
@@ -232,7 +252,9 @@ class GaussNewton:
             motion = by_state[:, states_at] @ motion
             motion[:, inputs_at] = by_input[:, inputs_at]
             sensitivity[2 * k : 2 * k + 2] = jacobians[:, inputs_at] @ motion[:n]
-        return Rollout(states.T, tips.T, sensitivity, torques.T, torque_sensitivity)
+        return Rollout(
+            states.T.copy(), tips.T.copy(), sensitivity, torques.T.copy(), torque_sensitivity
+        )
 
     def _difference_matrix(self) -> Floats:
         """Weighted map from the stacked inputs to their changes, q_bar_{-1} aside."""

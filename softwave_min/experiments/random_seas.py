@@ -15,7 +15,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from softwave_min.experiments import actuator_failure, error_ratio, star
-from softwave_min.experiments.closed_loop import LoopRun, closed_loops, prepare
+from softwave_min.experiments.closed_loop import JUDGED, LoopRun, closed_loops, prepare
 from softwave_min.experiments.experiment import Experiment, RunArrays, Tables
 from softwave_min.parameters import ParameterSet
 from softwave_min.store import Run
@@ -25,8 +25,6 @@ __all__ = ["EXPERIMENT", "SEEDS", "in_many_seas"]
 SEEDS = 20
 """Random seas, unless the parameters ask for more than one."""
 CASES = (actuator_failure.INTACT, actuator_failure.PAPERS_CASE)
-KEPT = ("error", "status", "source")
-"""Fields of a closed loop that the tables need."""
 
 
 def in_many_seas(parameters: ParameterSet) -> ParameterSet:
@@ -39,7 +37,7 @@ def in_many_seas(parameters: ParameterSet) -> ParameterSet:
 def errors(run: LoopRun) -> dict[str, NDArray[Any]]:
     """Errors and statuses of the closed loops."""
     found = closed_loops(run)
-    return {name: array for name, array in found.items() if name.endswith(KEPT)}
+    return {name: array for name, array in found.items() if name.endswith(JUDGED)}
 
 
 def _named(parameters: ParameterSet) -> Iterator[tuple[str, Run]]:
