@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import os
 import sys
-import time
 from argparse import Namespace
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
-from importlib import import_module
 from itertools import groupby
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import TextIO
 
-from softwave_min.calibration import best_of, best_set_text, search_settings
-from softwave_min.calibration import calibrate as search_for_set
+from tqdm import tqdm
+
 from softwave_min.claims import (
     are_fresh,
     evaluate,
@@ -34,7 +33,7 @@ from softwave_min.compare import (
     tolerances_of,
 )
 from softwave_min.experiments import NAMES, Experiment, experiment
-from softwave_min.figures import style
+from softwave_min.figures.files import draw_files
 from softwave_min.native import description
 from softwave_min.parameters import (
     DEFAULT_SET,
@@ -45,16 +44,16 @@ from softwave_min.parameters import (
     load_parameters,
     parameter_set,
 )
-from softwave_min.store import Store, results_folder, write_atomically
+from softwave_min.store import Store, results_folder, table_text, write_atomically
 from softwave_min.sweep import (
     Freshness,
     SweepError,
-    compute,
+    Swept,
+    compute_all,
     figures_are_current,
     figures_identity,
-    file_digests,
     freshness,
-    prepare,
+    tables_identity,
 )
 from softwave_min.workers import Cluster, Processes, Workers
 
@@ -89,6 +88,10 @@ class _Asked:
 
     def store(self, one: Experiment) -> Store:
         return Store(one.name, self.root)
+
+    @property
+    def of_computed(self) -> list[tuple[Experiment, Store]]:
+        return [(one, self.store(one)) for one in self.computed]
 
     @property
     def not_waited_for(self) -> tuple[Experiment, ...]:
@@ -168,34 +171,34 @@ def _claims(ids: Sequence[str]) -> str:
 def run(options: Namespace) -> int:
     """Compute what is missing or stale, and draw its figures."""
     asked = _asked(options)
-    stale: list[str] = []
     failed = False
-    with _workers(options) as workers, ThreadPoolExecutor(1) as aside:
+    drawn: dict[str, Future[None]] = {}
+    with _workers(options) as workers:
         _announce(options)
-        prepared = aside.submit(_prepare, asked) if workers.here else None
-        for one in asked.computed:
-            try:
-                news = _computed(one, asked, workers, prepared)
-            except SweepError as error:
+        several = len(asked.computed) > 1
+        painters = workers if several and isinstance(workers, Processes) else Processes(1)
+        for swept in compute_all(asked.of_computed, asked.parameters, workers):
+            name = swept.experiment.name
+            if swept.failure:
                 failed = True
-                print(error, file=sys.stderr, flush=True)
+                _say(swept.failure, sys.stderr)
                 continue
-            current = figures_are_current(one, asked.parameters, asked.store(one))
-            stale += [one.name] * (not current)
-            if news or current:
-                print(f"{one.name}: {news or 'up to date'}", flush=True)
-        _draw_all(stale, asked, workers)
-    _report_left(asked)
-    complete = not failed and not missing_tables(asked.root)
-    if complete and not are_fresh(asked.root, asked.parameters):
-        write(evaluate(asked.root, asked.parameters), asked.root)
-        print("claims: judged", flush=True)
+            identity = figures_identity(swept.experiment, swept.identity)
+            store = asked.store(swept.experiment)
+            current = figures_are_current(store, identity)
+            if news := _news(swept) or "up to date" * current:
+                _say(f"{name}: {news}")
+            if not current:
+                drawn[name] = painters.submit(draw_files, store, asked.parameters, identity)
+        left = _stale(asked.not_waited_for, asked)
+        for name, done in drawn.items():
+            done.result()
+            _say(f"{name}: figures drawn")
+    for one in left:
+        print(f"{one.name}: stale; computed on request only: 'run {one.name}'")
+    if not failed and not missing_tables(asked.root):
+        _judge(asked)
     return 1 if failed else 0
-
-
-def _prepare(asked: _Asked) -> None:
-    for one in asked.computed:
-        prepare(one, asked.parameters, asked.store(one))
 
 
 def _announce(options: Namespace) -> None:
@@ -203,50 +206,31 @@ def _announce(options: Namespace) -> None:
     print(f"controllers and plant: {where}", flush=True)
 
 
-def _computed(
-    one: Experiment, asked: _Asked, workers: Workers, prepared: Future[None] | None
-) -> str:
-    """Compute an experiment; what there is to say of it."""
-    started = time.perf_counter()
-    count = compute(one, asked.parameters, asked.store(one), workers, prepared)
-    return f"{count} runs computed in {time.perf_counter() - started:.1f} s" if count else ""
+def _news(swept: Swept) -> str:
+    count = swept.computed
+    return f"{count} runs computed in {swept.seconds:.1f} s" if count else ""
 
 
-def _report_left(asked: _Asked) -> None:
-    for one in asked.not_waited_for:
-        if freshness(one, asked.parameters, asked.store(one)) is Freshness.STALE:
-            print(f"{one.name}: stale; computed on request only: 'run {one.name}'")
+def _say(text: str, stream: TextIO | None = None) -> None:
+    """Print a line beside the progress bar, if there is one."""
+    with tqdm.external_write_mode():
+        print(text, file=stream or sys.stdout, flush=True)
 
 
-def _draw_all(names: Sequence[str], asked: _Asked, workers: Workers) -> None:
-    calls = [(name, asked.parameters, asked.root) for name in names]
-    painters = workers if workers.here else Processes(1)
-    for index, drawn in painters.completed(_draw, calls):
-        drawn.result()
-        print(f"{names[index]}: figures drawn", flush=True)
+def _stale(experiments: Sequence[Experiment], asked: _Asked) -> list[Experiment]:
+    return [
+        one
+        for one in experiments
+        if freshness(one, asked.parameters, asked.store(one)) is Freshness.STALE
+    ]
 
 
-def _draw(name: str, parameters: ParameterSet, root: Path) -> None:
-    """Draw an experiment's figures, wherever that is done."""
-    one, store = _experiment(name), Store(name, root)
-    style.apply()
-    module = import_module(f"softwave_min.figures.{name}")
-    drawings: dict[str, style.Drawing] = module.draw(store, parameters)
-    for stem, drawing in drawings.items():
-        write_atomically(store.folder / f"{stem}.svg", style.svg(drawing))
-        for suffix, film in drawing.media.items():
-            write_atomically(store.folder / f"{stem}.{suffix}", film)
-    store.write_provenance(
-        {
-            **store.provenance(),
-            "figures_identity": figures_identity(one, parameters),
-            "figures": {
-                stem: {"caption": drawing.caption, "alt": drawing.alt}
-                for stem, drawing in drawings.items()
-            },
-            "files": file_digests(store),
-        }
-    )
+def _judge(asked: _Asked) -> None:
+    """Judge the claims, and write that unless it is what was written."""
+    table, path = evaluate(asked.root, asked.parameters), verdicts_path(asked.root)
+    if not path.is_file() or path.read_text(encoding="utf-8") != table_text(table):
+        write(table, asked.root)
+        print("claims: judged", flush=True)
 
 
 # --- what is there ----------------------------------------------------------------------
@@ -261,7 +245,9 @@ def figures(options: Namespace) -> int:
             continue
         if found is Freshness.MISSING:
             raise ParameterError(f"{one.name}: nothing to draw; 'run {one.name}' computes it")
-        _draw(one.name, asked.parameters, asked.root)
+        of_tables = tables_identity(one, asked.parameters)
+        identity = figures_identity(one, of_tables)
+        draw_files(asked.store(one), asked.parameters, identity)
         print(f"{one.name}: figures drawn", flush=True)
     return 0
 
@@ -315,6 +301,10 @@ def compare(options: Namespace) -> int:
 
 def calibrate(options: Namespace) -> int:
     """Search for the parameter set that comes closest to the paper's numbers."""
+    # Imported here, as is what is below for one command alone.
+    from softwave_min.calibration import best_of, best_set_text, search_settings  # noqa: PLC0415
+    from softwave_min.calibration import calibrate as search_for_set  # noqa: PLC0415
+
     store = Store(SEARCH, options.results.resolve() if options.results else results_folder())
     with _workers(options) as workers:
         _announce(options)
@@ -360,9 +350,12 @@ def verify(options: Namespace) -> int:
     differ = 0
     with TemporaryDirectory(prefix="softwave-verify-") as folder, _workers(options) as workers:
         _announce(options)
-        for one in chosen:
+        wanted = [(one, Store(one.name, Path(folder))) for one in chosen]
+        for swept in compute_all(wanted, asked.parameters, workers):
+            if swept.failure:
+                raise SweepError(swept.failure)
+            one = swept.experiment
             store = Store(one.name, Path(folder))
-            compute(one, asked.parameters, store, workers)
             stems = {*committed_stems(asked.place / one.name), *table_stems(store.folder)}
             for stem in sorted(stems):
                 outcome = _compared(one, stem, store, asked.place)

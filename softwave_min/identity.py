@@ -80,8 +80,13 @@ def source_files(modules: Iterable[str]) -> list[Path]:
             continue
         found.add(path)
         found.update(path.parent.glob("*.[ch]") if path.parent != PACKAGE else ())
-        waiting.extend(imported_modules(path.read_text(encoding="utf-8"), _module_name(path)))
+        waiting.extend(_imported_by(path))
     return sorted(found)
+
+
+@cache
+def _imported_by(path: Path) -> set[str]:
+    return imported_modules(path.read_text(encoding="utf-8"), _module_name(path))
 
 
 def imported_modules(source: str, module: str = "") -> set[str]:

@@ -1,19 +1,22 @@
-"""Compute what an experiment lacks, and judge what it has.
+"""Compute what experiments lack, and judge what they have.
 
-A sweep is a list of independent runs. Each is written as soon as it is done, so
-that an interrupted sweep resumes and loses at most the runs in progress. Tables are
-made of the runs on disk in their declared order, whoever computed them, and when.
+A sweep is a list of independent runs, of one experiment or of several. Each is written
+as soon as it is done, so that an interrupted sweep resumes and loses at most the runs in
+progress. Tables are made once the last of an experiment's runs is there, of the runs on
+disk in their declared order, whoever computed them, and when.
 """
 
 from __future__ import annotations
 
+import math
 import sys
 import time
-from collections.abc import Sequence
-from concurrent.futures import Future
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from hashlib import sha256
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from tqdm import tqdm
@@ -29,12 +32,13 @@ from softwave_min.workers import Outcome, Workers, attempt, in_a_line
 __all__ = [
     "Freshness",
     "SweepError",
+    "Swept",
     "compute",
+    "compute_all",
     "figures_are_current",
     "figures_identity",
     "file_digests",
     "freshness",
-    "prepare",
     "tables_identity",
 ]
 
@@ -58,7 +62,10 @@ class Freshness(Enum):
 
 def tables_identity(experiment: Experiment, parameters: ParameterSet) -> str:
     """Hash over what determines an experiment's tables."""
-    runs = experiment.runs(parameters)
+    return _tables_identity(experiment, experiment.runs(parameters))
+
+
+def _tables_identity(experiment: Experiment, runs: Sequence[Run]) -> str:
     return digest(
         {run.name: run.identity for run in runs},
         source_digest(experiment.tabulate.__module__),
@@ -66,10 +73,9 @@ def tables_identity(experiment: Experiment, parameters: ParameterSet) -> str:
     )
 
 
-def figures_identity(experiment: Experiment, parameters: ParameterSet) -> str:
-    """Hash over what determines an experiment's figures."""
-    drawn_by = source_digest(f"softwave_min.figures.{experiment.name}")
-    return digest(tables_identity(experiment, parameters), drawn_by)
+def figures_identity(experiment: Experiment, of_tables: str) -> str:
+    """Hash over what determines an experiment's figures, that of its tables included."""
+    return digest(of_tables, source_digest(f"softwave_min.figures.{experiment.name}"))
 
 
 def freshness(experiment: Experiment, parameters: ParameterSet, store: Store) -> Freshness:
@@ -77,20 +83,20 @@ def freshness(experiment: Experiment, parameters: ParameterSet, store: Store) ->
     record = store.provenance()
     if not record:
         return Freshness.MISSING
-    if record["tables_identity"] != tables_identity(
-        experiment, parameters
-    ) or not figures_are_current(experiment, parameters, store):
+    runs = experiment.runs(parameters)
+    of_tables = _tables_identity(experiment, runs)
+    if record["tables_identity"] != of_tables or not figures_are_current(
+        store, figures_identity(experiment, of_tables)
+    ):
         return Freshness.STALE
-    here = all(store.has(run) for run in experiment.runs(parameters))
+    here = all(store.has(run) for run in runs)
     return Freshness.FRESH if here else Freshness.COMMITTED
 
 
-def figures_are_current(experiment: Experiment, parameters: ParameterSet, store: Store) -> bool:
-    """Whether the figures are of the present inputs, and no file was changed since."""
+def figures_are_current(store: Store, identity: str) -> bool:
+    """Whether the figures are those of an identity, and no file was changed since."""
     record = store.provenance()
-    return record.get("figures_identity") == figures_identity(experiment, parameters) and record[
-        "files"
-    ] == file_digests(store)
+    return record.get("figures_identity") == identity and record["files"] == file_digests(store)
 
 
 def file_digests(store: Store) -> dict[str, str]:
@@ -102,79 +108,172 @@ def file_digests(store: Store) -> dict[str, str]:
     }
 
 
-def prepare(experiment: Experiment, parameters: ParameterSet, store: Store) -> None:
-    """Compile what the missing runs need."""
-    if experiment.prepare is None:
-        return
-    for run in experiment.runs(parameters):
-        if not store.has(run):
-            experiment.prepare(run)
-            return
+@dataclass(frozen=True)
+class Swept:
+    """An experiment of which no run is left to be computed."""
+
+    experiment: Experiment
+    identity: str
+    """Of its tables."""
+    computed: int
+    """Runs computed, without those that are another's as well and were computed for it."""
+    seconds: float
+    """From the start of the first run to the end of the last."""
+    failure: str = ""
+    """Why there are no tables."""
+
+
+@dataclass
+class _Share:
+    """What an experiment has of a sweep."""
+
+    experiment: Experiment
+    store: Store
+    runs: Sequence[Run]
+    missing: Sequence[Run]
+    prepared: Future[object] | None = None
+    """To be waited for before its runs are computed."""
+    failures: list[str] = field(default_factory=list)
+    arrived: int = 0
+    computed: int = 0
+    started: float = math.inf
+
+    @property
+    def is_over(self) -> bool:
+        return self.arrived == len(self.missing)
+
+    def count(self, outcome: Outcome) -> None:
+        """Count a run that was computed for this experiment."""
+        self.computed += 1
+        self.started = min(self.started, time.perf_counter() - outcome.seconds)
+
+    def take(self, run: Run, outcome: Outcome) -> None:
+        """Save a run, or note why there is none."""
+        self.arrived += 1
+        if outcome.failure:
+            self.failures.append(f"{run.name}: {outcome.failure}")
+        else:
+            self.store.save_run(run, outcome.arrays, _run_record(run, outcome))
+
+
+Takers = list[tuple[_Share, Run]]
+"""Those who want a run: it may have another name in each experiment."""
 
 
 def compute(
-    experiment: Experiment,
-    parameters: ParameterSet,
-    store: Store,
-    workers: Workers,
-    prepared: Future[None] | None = None,
+    experiment: Experiment, parameters: ParameterSet, store: Store, workers: Workers
 ) -> int:
     """Compute the missing runs, then the tables; the number of runs computed.
-
-    ``prepared`` is waited for where runs are to be prepared; without it that is done here.
 
     Raises
     ------
     SweepError
         If runs failed, after all others are done and saved.
     """
+    (swept,) = compute_all([(experiment, store)], parameters, workers)
+    if swept.failure:
+        raise SweepError(swept.failure)
+    return swept.computed
+
+
+def compute_all(
+    asked: Sequence[tuple[Experiment, Store]], parameters: ParameterSet, workers: Workers
+) -> Iterator[Swept]:
+    """Compute the missing runs of several experiments in one queue, each run once.
+
+    Yields
+    ------
+    Swept
+        Each experiment as soon as it has its tables, or all its runs and some of them failed.
+    """
+    with ThreadPoolExecutor(1) as aside:
+        shares = [_share(*one, parameters, aside if workers.here else None) for one in asked]
+        wanted: dict[str, Takers] = {}
+        for share in shares:
+            for run in share.missing:
+                wanted.setdefault(run.identity, []).append((share, run))
+        yield from (_over(share, parameters) for share in shares if share.is_over)
+        with _bar(shares) as bar:
+            for takers, outcome in _outcomes(list(wanted.values()), workers):
+                takers[0][0].count(outcome)
+                for share, run in takers:
+                    share.take(run, outcome)
+                    bar.set_description(share.experiment.name, refresh=False)
+                bar.set_postfix(failed=sum(len(one.failures) for one in shares), refresh=False)
+                bar.update(len(takers))
+                yield from (_over(share, parameters) for share, _ in takers if share.is_over)
+
+
+def _share(
+    experiment: Experiment,
+    store: Store,
+    parameters: ParameterSet,
+    aside: ThreadPoolExecutor | None,
+) -> _Share:
+    """Look for what is missing, and have prepared ``aside`` what that needs."""
     runs = experiment.runs(parameters)
     missing = store.adopt([run for run in runs if not store.has(run)])
-    started = time.perf_counter()
-    failures = []
-    if missing:
-        if experiment.prepare is not None and workers.here:
-            prepared.result() if prepared else experiment.prepare(missing[0])
-        failures = _compute_runs(experiment, missing, len(runs), store, workers)
-    store.tidy(runs)
-    if failures:
-        raise SweepError(
-            f"{experiment.name}: {len(failures)} of {len(runs)} runs failed, "
-            f"the others are kept; first {failures[0]}"
-        )
-    if missing or not _tables_are_current(experiment, parameters, store):
-        _tabulate(experiment, parameters, store, runs, time.perf_counter() - started)
-    return len(missing)
+    share = _Share(experiment, store, runs, missing)
+    if aside and missing and experiment.prepare is not None:
+        share.prepared = aside.submit(experiment.prepare, missing[0])
+    return share
 
 
-def _compute_runs(
-    experiment: Experiment, missing: Sequence[Run], total: int, store: Store, workers: Workers
-) -> list[str]:
-    """Compute runs and save each as it is done; the failures."""
-    failures: list[str] = []
-    calls = [(run.compute, run.parameters, run.identity) for run in missing]
-    with tqdm(
-        desc=experiment.name,
+def _bar(shares: Sequence[_Share]) -> tqdm[NoReturn]:
+    total, missing = (
+        sum(len(runs) for runs in every)
+        for every in ([one.runs for one in shares], [one.missing for one in shares])
+    )
+    return tqdm(
         total=total,
-        initial=total - len(missing),
+        initial=total - missing,
         unit="run",
-        disable=not sys.stderr.isatty(),
-    ) as bar:
-        bar.set_postfix(failed=0)
-        for index, result in workers.completed(attempt, calls):
-            run = missing[index]
-            try:
-                outcome: Outcome = result.result()
-                failure = outcome.failure
-            except Exception as error:  # of the worker, not of the run
-                failure = in_a_line(error)
-            if failure:
-                failures.append(f"{run.name}: {failure}")
-                bar.set_postfix(failed=len(failures))
-            else:
-                store.save_run(run, outcome.arrays, _run_record(run, outcome))
-            bar.update()
-    return failures
+        disable=not missing or not sys.stderr.isatty(),
+    )
+
+
+def _outcomes(wanted: Sequence[Takers], workers: Workers) -> Iterator[tuple[Takers, Outcome]]:
+    """Compute what is wanted; first what need not wait for a preparation."""
+    waits = [[share.prepared for share, _ in takers if share.prepared] for takers in wanted]
+    at_once = [takers for takers, wait in zip(wanted, waits, strict=True) if not wait]
+    then = [takers for takers, wait in zip(wanted, waits, strict=True) if wait]
+    yield from _computed(at_once, workers)
+    for wait in waits:
+        for prepared in wait:
+            prepared.result()
+    yield from _computed(then, workers)
+
+
+def _computed(wanted: Sequence[Takers], workers: Workers) -> Iterator[tuple[Takers, Outcome]]:
+    runs = [takers[0][1] for takers in wanted]
+    calls = [(run.compute, run.parameters, run.identity) for run in runs]
+    for index, result in workers.completed(attempt, calls):
+        try:
+            outcome: Outcome = result.result()
+        except Exception as error:  # of the worker, not of the run
+            outcome = Outcome({}, 0.0, "", in_a_line(error))
+        yield wanted[index], outcome
+
+
+def _over(share: _Share, parameters: ParameterSet) -> Swept:
+    """Make the tables, if no run failed."""
+    now = time.perf_counter()
+    swept = Swept(
+        share.experiment,
+        _tables_identity(share.experiment, share.runs),
+        share.computed,
+        now - min(now, share.started),
+    )
+    share.store.tidy(share.runs)
+    if share.failures:
+        failure = (
+            f"{share.experiment.name}: {len(share.failures)} of {len(share.runs)} runs failed, "
+            f"the others are kept; first {share.failures[0]}"
+        )
+        return replace(swept, failure=failure)
+    if share.missing or not _tables_are_current(share.store, swept.identity):
+        _tabulate(swept, parameters, share.store, share.runs)
+    return swept
 
 
 def _run_record(run: Run, outcome: Outcome) -> dict[str, Any]:
@@ -197,9 +296,9 @@ def _run_record(run: Run, outcome: Outcome) -> dict[str, Any]:
     return record
 
 
-def _tables_are_current(experiment: Experiment, parameters: ParameterSet, store: Store) -> bool:
+def _tables_are_current(store: Store, identity: str) -> bool:
     record = store.provenance()
-    if record.get("tables_identity") != tables_identity(experiment, parameters):
+    if record.get("tables_identity") != identity:
         return False
     found = file_digests(store)
     return all(
@@ -209,13 +308,8 @@ def _tables_are_current(experiment: Experiment, parameters: ParameterSet, store:
     )
 
 
-def _tabulate(
-    experiment: Experiment,
-    parameters: ParameterSet,
-    store: Store,
-    runs: Sequence[Run],
-    seconds: float,
-) -> None:
+def _tabulate(swept: Swept, parameters: ParameterSet, store: Store, runs: Sequence[Run]) -> None:
+    experiment = swept.experiment
     tables = experiment.tabulate(parameters, {run.name: store.load_run(run) for run in runs})
     for stem, table in tables.items():
         store.write_table(stem, table)
@@ -231,10 +325,10 @@ def _tabulate(
             "experiment": experiment.name,
             "title": experiment.title,
             "claims": experiment.claims,
-            "tables_identity": tables_identity(experiment, parameters),
+            "tables_identity": swept.identity,
             "lock": lock_digest(),
             "runs": of_runs,
-            "wall_time": round(seconds, 3),
+            "wall_time": round(swept.seconds, 3),
             "files": file_digests(store),
             **common,
         }

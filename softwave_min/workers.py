@@ -15,9 +15,16 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import islice
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol, Self
 
@@ -36,6 +43,8 @@ Arguments = tuple[Any, ...]
 
 CONNECTING = 5.0
 """Longest that a scheduler may take to answer, in s."""
+AHEAD = 4
+"""Calls that each process has before it: it shall not wait, nor shall what is submitted later."""
 
 
 @dataclass(frozen=True)
@@ -140,16 +149,32 @@ class Processes:
         self, function: Callable[..., Any], calls: Sequence[Arguments]
     ) -> Iterator[tuple[int, Result]]:
         """See `Workers`; a single call is made in this process."""
-        if min(self.jobs, len(calls)) <= 1:
-            yield from enumerate(_called(function, call) for call in calls)
+        if len(calls) == 1:
+            yield 0, _called(function, calls[0])
             return
+        left = enumerate(calls)
+        waiting: dict[Future[Any], int] = {}
+        while True:
+            room = AHEAD * self.jobs - len(waiting) if self.jobs > 1 else 1
+            waiting |= {self.submit(function, *call): index for index, call in islice(left, room)}
+            if not waiting:
+                return
+            for future in wait(waiting, return_when=FIRST_COMPLETED).done:
+                yield waiting.pop(future), future
+
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        """Have one call made, before those of `completed` that are still to be handed out.
+
+        With one job it is made at once.
+        """
+        if self.jobs == 1:
+            return _called(function, arguments)
         with _interrupts_ignored():  # a worker inherits that, and ends with this process
-            pool = self._started()
-            waiting = {pool.submit(function, *call): index for index, call in enumerate(calls)}
-        for future in as_completed(waiting):
-            if isinstance(future.exception(), BrokenExecutor):
+            try:
+                return self._started().submit(function, *arguments)
+            except BrokenExecutor:  # a worker died; the calls that it had are told so
                 self._pool = None
-            yield waiting[future], future
+                return self._started().submit(function, *arguments)
 
     def _started(self) -> ProcessPoolExecutor:
         if self._pool is None:
@@ -160,7 +185,7 @@ class Processes:
         return self._pool
 
 
-def _called(function: Callable[..., Any], arguments: Arguments) -> Result:
+def _called(function: Callable[..., Any], arguments: Arguments) -> Future[Any]:
     future: Future[Any] = Future()
     try:
         future.set_result(function(*arguments))

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +23,7 @@ from softwave_min import store as stores
 from softwave_min.identity import ROOT, run_identity
 from softwave_min.parameters import parameter_set
 from softwave_min.store import Store, read_table
-from softwave_min.sweep import SweepError, compute
+from softwave_min.sweep import SweepError, compute, compute_all
 from softwave_min.workers import Cluster, Processes, attempt
 
 KILLS = 10
@@ -115,6 +116,34 @@ def test_an_error_lets_the_workers_go_at_once():
     with pytest.raises(KeyboardInterrupt):
         interrupted()
     assert time.perf_counter() - started < PATIENCE
+
+
+def test_what_is_submitted_later_is_done_before_what_is_still_to_be_handed_out(tmp_path):
+    naps = [(tmp_path / "naps", 0.01)] * 60
+    with Processes(2) as workers:
+        urgent = None
+        for _ in workers.completed(nap, naps):
+            urgent = urgent or workers.submit(nap, tmp_path / "urgent", 0.0)
+            if urgent.done():
+                break
+    assert (tmp_path / "naps").stat().st_size < len(naps)
+
+
+def nap(path: Path, duration: float):
+    time.sleep(duration)
+    with path.open("a") as file:
+        file.write(".")
+
+
+def test_a_worker_that_dies_takes_only_what_it_was_given_with_it():
+    with Processes(2) as workers:
+        failed = sum(
+            result.exception() is not None
+            for _, result in workers.completed(os._exit, [(1,), (1,)])
+        )
+        assert failed == 2
+        alive = [result.result() for _, result in workers.completed(abs, [(-1,), (-2,)])]
+    assert sorted(alive) == [1, 2]
 
 
 # --- interruptions ----------------------------------------------------------------------
@@ -306,3 +335,59 @@ def test_only_whole_runs_of_the_same_definition_are_taken_over(tmp_path):
         compute(renamed(experiment, "other"), parameters, Store("other", tmp_path), Processes(1))
         == 3
     )
+
+
+def shared_sweep(first, second, folder, workers):
+    """Both experiments in one sweep; what it says of each, in the order in which it does."""
+    asked = [(one, Store(one.name, folder)) for one in (first, second)]
+    return list(compute_all(asked, parameter_set(), workers))
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_what_two_experiments_of_a_sweep_share_is_computed_once(tmp_path, jobs):
+    parameters = parameter_set()
+    toys, others = (toy(range(count), 0.0) for count in (4, 5))
+    others = renamed(others, "other")
+    alone = Store("other", tmp_path / "alone")
+    compute(others, parameters, alone, Processes(1))
+    with Processes(jobs) as workers:
+        swept = shared_sweep(toys, others, tmp_path / "both", workers)
+    assert [(one.experiment.name, one.computed) for one in swept] == [("toy", 4), ("other", 1)]
+    shelf = Store("other", tmp_path / "both")
+    assert table_bytes(shelf.folder) == table_bytes(alone.folder)
+    assert all(shelf.has(run) for run in others.runs(parameters))
+
+
+def test_a_failed_run_that_two_experiments_share_is_reported_by_both(tmp_path):
+    toys = toy(range(-1, 2), 0.0)
+    swept = shared_sweep(toys, renamed(toys, "other"), tmp_path, Processes(1))
+    assert [one.failure.partition(";")[0].partition(",")[0] for one in swept] == [
+        "toy: 1 of 3 runs failed",
+        "other: 1 of 3 runs failed",
+    ]
+    assert not list(tmp_path.glob("*/*.csv"))
+
+
+def test_an_experiment_has_its_tables_before_the_next_is_computed(tmp_path):
+    toys, others = toy(range(3), 0.0), renamed(toy(range(10, 13), 0.0), "other")
+    shelf = Store("other", tmp_path)
+    sweep = compute_all(
+        [(toys, Store("toy", tmp_path)), (others, shelf)], parameter_set(), Processes(1)
+    )
+    assert next(sweep).experiment is toys
+    assert table_bytes(tmp_path / "toy")
+    assert not any(shelf.has(run) for run in others.runs(parameter_set()))
+    assert next(sweep).experiment is others
+
+
+def test_runs_that_need_no_preparation_do_not_wait_for_it(tmp_path):
+    done = []
+    toys = toy(range(3), 0.0, prepare=lambda _: done.append(prompt.wait(PATIENCE)))
+    prompt = threading.Event()
+    others = renamed(toy(range(10, 13), 0.0), "other")
+    asked = [(toys, Store("toy", tmp_path)), (others, Store("other", tmp_path))]
+    sweep = compute_all(asked, parameter_set(), Processes(1))
+    assert next(sweep).experiment is others
+    prompt.set()
+    assert next(sweep).experiment is toys
+    assert done == [True]  # and once

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
+import subprocess
 import tempfile
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,12 +32,12 @@ Floats = NDArray[np.float64]
 WINDOW = (27.0, 49.0)
 FRAMES_PER_SECOND = 20
 VIEW = (-0.45, 1.15, -4.6, -3.2)
-ENCODERS: Mapping[str, tuple[str, list[str]]] = {
-    # One thread and no encoder's signature: the same frames give the same file.
-    "webm": ("libvpx-vp9", ["-b:v", "0", "-crf", "40", "-deadline", "realtime", "-cpu-used", "8"]),
-    "mp4": ("libx264", ["-crf", "27", "-movflags", "+faststart"]),
+ENCODERS: Mapping[str, str] = {
+    "webm": "-c:v libvpx-vp9 -b:v 0 -crf 40 -deadline realtime -cpu-used 8",
+    "mp4": "-c:v libx264 -preset veryfast -crf 25 -movflags +faststart",
 }
-REPRODUCIBLE = ["-threads", "1", "-fflags", "+bitexact", "-flags:v", "+bitexact"]
+REPRODUCIBLE = "-pix_fmt yuv420p -threads 1 -fflags +bitexact -flags:v +bitexact"
+"""One thread and no encoder's signature: the same frames give the same file."""
 
 
 @dataclass(frozen=True)
@@ -46,14 +48,23 @@ class Side:
     colour: str
     loop: ClosedLoop
 
+    @property
+    def period(self) -> float:
+        """Time between two recorded instants, in s."""
+        return float(self.loop.time[1])
+
 
 def headline(arm: Arm, sea: Sea, sides: tuple[Side, Side]) -> Drawing:
     """Draw the still and encode the film."""
+    first, last = (round(instant / sides[0].period) for instant in WINDOW)
+    # Of all instants at once, which costs hardly more than of one.
+    bodies = [arm.axis(side.loop.q[first:last]) for side in sides]
     still = _Stage(arm, sea, sides)
-    still.show_postures()
+    still.show_postures(bodies, first)
     film = _Stage(arm, sea, sides)
-    first, last = (round(instant / film.period) for instant in WINDOW)
-    media = _encode(film.frame(index) for index in range(first, last))
+    media = _encode(
+        film.frame(first + step, pair) for step, pair in enumerate(zip(*bodies, strict=True))
+    )
     plt.close(film.figure)
     errors = [100 * root_mean_square_error(side.loop.error[first:last]) for side in sides]
     return Drawing(
@@ -79,8 +90,6 @@ class _Stage:
 
     def __init__(self, arm: Arm, sea: Sea, sides: tuple[Side, Side]) -> None:
         self._base, self._sea, self._sides = arm.parameters.base_position, sea, sides
-        # Of all instants at once, which costs hardly more than of one.
-        self._bodies = [arm.axis(side.loop.q) for side in sides]
         self.figure: Figure = plt.figure(figsize=(8.0, 4.96), dpi=100)
         grid = self.figure.add_gridspec(2, 2, height_ratios=(1.0, 3.2))
         self._wave = self.figure.add_subplot(grid[0, :])
@@ -97,31 +106,26 @@ class _Stage:
         self._canvas: Any = FigureCanvasAgg(self.figure)
         self._backdrop: Any = None
 
-    @property
-    def period(self) -> float:
-        """Time between two recorded instants, in s."""
-        return float(self._sides[0].loop.time[1])
-
-    def show_postures(self) -> None:
+    def show_postures(self, bodies: list[Floats], first: int) -> None:
         """Lay the postures of every second over each other, with the path of the tip."""
-        every = round(1.0 / self.period)
-        first, last = (round(instant / self.period) for instant in WINDOW)
-        for view, side, bodies in zip(self._views, self._sides, self._bodies, strict=True):
-            for body in bodies[first:last:every]:
+        for view, side, every in zip(self._views, self._sides, bodies, strict=True):
+            for body in every[:: round(1.0 / side.period)]:
                 view.plot(*body.T, color=side.colour, linestyle="-", linewidth=2.2, alpha=0.22)
-            tips = side.loop.tips[first:last, -1]
+            tips = side.loop.tips[first : first + len(every), -1]
             view.plot(*tips.T, color=INK, linestyle="-", linewidth=0.7)
 
-    def frame(self, index: int) -> NDArray[np.uint8]:
-        """The picture at one recorded instant, (height, width, 3)."""
-        instant = index * self.period
+    def frame(self, index: int, bodies: tuple[Floats, ...]) -> NDArray[np.uint8]:
+        """The picture at one recorded instant, (height, width, 4), until the next is asked for."""
+        instant = index * self._sides[0].period
         self._cursor.set_xdata([instant, instant])
-        first = round(WINDOW[0] / self.period)
-        for side, bodies, (arrows, body, trail) in zip(
-            self._sides, self._bodies, self._moving, strict=True
+        first = round(WINDOW[0] / self._sides[0].period)
+        arrows = self._moving[0][0]
+        flow = self._sea.velocity(arrows.X, arrows.Y, instant)
+        for side, posture, (arrows, body, trail) in zip(
+            self._sides, bodies, self._moving, strict=True
         ):
-            arrows.set_UVC(*self._sea.velocity(arrows.X, arrows.Y, instant))
-            body.set_data(*bodies[index].T)
+            arrows.set_UVC(*flow)
+            body.set_data(*posture.T)
             trail.set_data(*side.loop.tips[max(first, index - 30) : index + 1, -1].T)
         # Axes and labels are drawn once: that is nearly all of the work.
         if self._backdrop is None:
@@ -132,7 +136,7 @@ class _Stage:
             artist.set_visible(True)
             artist.axes.draw_artist(artist)
             artist.set_visible(False)
-        return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
+        return np.asarray(self._canvas.buffer_rgba())
 
     def _artists(self) -> list[Any]:
         return [self._cursor, *(artist for moving in self._moving for artist in moving)]
@@ -156,31 +160,30 @@ class _Stage:
         return arrows, body, trail
 
 
-def _encode(frames: Iterator[NDArray[np.uint8]]) -> dict[str, bytes]:
-    """Encode the frames once in each format."""
+def _encode(frames: Iterable[NDArray[np.uint8]]) -> dict[str, bytes]:
+    """Encode the frames once in each format.
+
+    Raises
+    ------
+    OSError
+        If the encoder fails.
+    """
+    frames = iter(frames)
+    first = next(frames)
+    height, width, _ = first.shape
+    command = [
+        imageio_ffmpeg.get_ffmpeg_exe(),
+        *["-v", "error", "-f", "rawvideo", "-pix_fmt", "rgba"],
+        *f"-s {width}x{height} -r {FRAMES_PER_SECOND} -i -".split(),
+    ]
     with tempfile.TemporaryDirectory() as folder:
         paths = {suffix: Path(folder) / f"film.{suffix}" for suffix in ENCODERS}
-        writers = {}
-        for frame in frames:
-            for suffix, path in paths.items():
-                if suffix not in writers:
-                    writers[suffix] = _writer(path, frame, *ENCODERS[suffix])
-                writers[suffix].send(np.ascontiguousarray(frame))
-        for writer in writers.values():
-            writer.close()
+        for suffix, path in paths.items():
+            command += [*f"{ENCODERS[suffix]} {REPRODUCIBLE}".split(), str(path)]
+        with subprocess.Popen(command, stdin=subprocess.PIPE) as encoder:
+            assert encoder.stdin is not None
+            for frame in itertools.chain([first], frames):
+                encoder.stdin.write(frame.data)
+        if encoder.returncode:
+            raise OSError(f"{command[0]}: exit status {encoder.returncode}")
         return {suffix: path.read_bytes() for suffix, path in paths.items()}
-
-
-def _writer(
-    path: Path, frame: NDArray[np.uint8], codec: str, options: Sequence[str]
-) -> Generator[None, Any, None]:
-    height, width, _ = frame.shape
-    writer: Generator[None, Any, None] = imageio_ffmpeg.write_frames(
-        str(path),
-        (width, height),
-        fps=FRAMES_PER_SECOND,
-        codec=codec,
-        output_params=[*options, *REPRODUCIBLE],
-    )
-    writer.send(None)
-    return writer

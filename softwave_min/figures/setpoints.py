@@ -37,8 +37,8 @@ OUTLINES: tuple[tuple[str, Literal["-", "--", ":"]], ...] = (
     (INK, ":"),
 )
 """Of the intact arm's workspace, and of the passive and the locked arm's."""
-POINTS = 24
-"""Points on the outline of each segment."""
+PARTS = 14
+"""Chords that stand for the arc of a segment: off by less than a hair's breadth in print."""
 
 
 def draw(store: Store, parameters: ParameterSet) -> dict[str, Drawing]:
@@ -57,10 +57,11 @@ def draw(store: Store, parameters: ParameterSet) -> dict[str, Drawing]:
 
 def outlines(arm: Arm, q: Floats) -> Iterator[Floats]:
     """Outline of each segment's body in a posture, (2 P, 2) in m."""
-    places = np.linspace(0, 1, POINTS)
+    places = np.linspace(0, 1, PARTS + 1)
+    whole = arm.axis(q, PARTS)
     base = arm.parameters.base_angle + np.concatenate([[0.0], np.cumsum(q)])
     for segment, diameter in enumerate(arm.parameters.diameter):
-        axis = np.array([arm.forward_kinematics(q, segment, float(s)) for s in places])
+        axis = whole[PARTS * segment :][: PARTS + 1]
         angle = base[segment] + places * q[segment]
         side = diameter / 2 * np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
         yield np.concatenate([axis + side, (axis - side)[::-1]])

@@ -15,6 +15,7 @@ from xml.sax.saxutils import escape
 
 import matplotlib as mpl
 from cycler import cycler
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 __all__ = ["BLUE", "DASHES", "GREY", "INK", "ORANGE", "SERIES", "SKY", "Drawing", "apply", "svg"]
@@ -71,8 +72,21 @@ def apply() -> None:
 
 def svg(drawing: Drawing) -> bytes:
     """The figure as SVG, the same bytes for the same figure, with its alt text inside."""
-    buffer = io.StringIO()
+    buffer, figure = io.StringIO(), drawing.figure
     with mpl.rc_context(SETTINGS):
-        drawing.figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+        _lay_out(figure)
+        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
     described = f"<title>{escape(drawing.alt)}</title>\n <metadata>"
     return re.sub("<metadata>", lambda _: described, buffer.getvalue(), count=1).encode()
+
+
+def _lay_out(figure: Figure) -> None:
+    """Give the axes their places; `savefig` would draw all of the figure to that end alone."""
+    layout = figure.get_layout_engine()
+    if layout is None:
+        return
+    FigureCanvasSVG(figure)
+    figure.set_dpi(72)  # of SVG, in which texts are measured
+    layout.execute(figure)
+    with mpl.rc_context({"figure.constrained_layout.use": False}):
+        figure.set_layout_engine(None)
