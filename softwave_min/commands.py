@@ -6,7 +6,7 @@ import os
 import sys
 from argparse import Namespace
 from collections.abc import Sequence
-from concurrent.futures import Future
+from concurrent.futures import BrokenExecutor, Future
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
@@ -72,6 +72,8 @@ __all__ = [
 
 SEARCH = "calibration"
 """Folder of its results."""
+Drawn = tuple[Store, ParameterSet, str]
+"""What figures are drawn of, and their identity."""
 
 
 @dataclass(frozen=True)
@@ -172,7 +174,7 @@ def run(options: Namespace) -> int:
     """Compute what is missing or stale, and draw its figures."""
     asked = _asked(options)
     failed = False
-    drawn: dict[str, Future[None]] = {}
+    drawn: dict[str, tuple[Future[None], Drawn]] = {}
     with _workers(options) as workers:
         _announce(options)
         several = len(asked.computed) > 1
@@ -189,10 +191,14 @@ def run(options: Namespace) -> int:
             if news := _news(swept) or "up to date" * current:
                 _say(f"{name}: {news}")
             if not current:
-                drawn[name] = painters.submit(draw_files, store, asked.parameters, identity)
+                given = (store, asked.parameters, identity)
+                drawn[name] = painters.submit(draw_files, *given), given
         left = _stale(asked.not_waited_for, asked)
-        for name, done in drawn.items():
-            done.result()
+        for name, (done, given) in drawn.items():
+            try:
+                done.result()
+            except BrokenExecutor:  # a run took its worker along
+                draw_files(*given)
             _say(f"{name}: figures drawn")
     for one in left:
         print(f"{one.name}: stale; computed on request only: 'run {one.name}'")
@@ -375,6 +381,6 @@ def _compared(one: Experiment, stem: str, store: Store, place: Path) -> Comparis
 
 
 def _report(one: Experiment, stem: str, outcome: Comparison) -> None:
-    print(f"{one.name}/{stem}.csv: {outcome.text}", flush=True)
+    _say(f"{one.name}/{stem}.csv: {outcome.text}")
     for difference in outcome.differences:
-        print(f"  {difference}", flush=True)
+        _say(f"  {difference}")

@@ -27,7 +27,7 @@ __all__ = ["CompilerError", "build", "compiler", "description"]
 FLAGS = ("-march=native", "-fno-math-errno", "-ffp-contract=fast", "-std=c99", "-fPIC")
 """No -ffast-math: the interpreter's numbers, but for the last digit of a product and sum."""
 LOOPS, STRAIGHT_LINE = ("-O3", "-funroll-loops"), ("-O2",)
-"""Long code without loops only takes longer with more than -O2."""
+"""Generated code only takes longer with more than -O2."""
 MANY_LINES = 1000
 """So many lines are generated, not written."""
 

@@ -133,7 +133,8 @@ class _Share:
     missing: Sequence[Run]
     prepared: Future[object] | None = None
     """To be waited for before its runs are computed."""
-    failures: list[str] = field(default_factory=list)
+    failures: dict[str, str] = field(default_factory=dict)
+    """Why there is no result, by the run's name."""
     arrived: int = 0
     computed: int = 0
     started: float = math.inf
@@ -151,7 +152,7 @@ class _Share:
         """Save a run, or note why there is none."""
         self.arrived += 1
         if outcome.failure:
-            self.failures.append(f"{run.name}: {outcome.failure}")
+            self.failures[run.name] = outcome.failure
         else:
             self.store.save_run(run, outcome.arrays, _run_record(run, outcome))
 
@@ -186,22 +187,31 @@ def compute_all(
     Swept
         Each experiment as soon as it has its tables, or all its runs and some of them failed.
     """
-    with ThreadPoolExecutor(1) as aside:
+    aside = ThreadPoolExecutor(1)
+    try:
         shares = [_share(*one, parameters, aside if workers.here else None) for one in asked]
-        wanted: dict[str, Takers] = {}
-        for share in shares:
-            for run in share.missing:
-                wanted.setdefault(run.identity, []).append((share, run))
         yield from (_over(share, parameters) for share in shares if share.is_over)
-        with _bar(shares) as bar:
-            for takers, outcome in _outcomes(list(wanted.values()), workers):
-                takers[0][0].count(outcome)
-                for share, run in takers:
-                    share.take(run, outcome)
-                    bar.set_description(share.experiment.name, refresh=False)
-                bar.set_postfix(failed=sum(len(one.failures) for one in shares), refresh=False)
-                bar.update(len(takers))
-                yield from (_over(share, parameters) for share, _ in takers if share.is_over)
+        for touched in _taken(shares, workers):
+            yield from (_over(share, parameters) for share in touched if share.is_over)
+    finally:  # an error shall not wait for what nobody needs any more
+        aside.shutdown(wait=False, cancel_futures=True)
+
+
+def _taken(shares: Sequence[_Share], workers: Workers) -> Iterator[list[_Share]]:
+    """Compute what is missing and give it to all who want it; those, after each run."""
+    wanted: dict[str, Takers] = {}
+    for share in shares:
+        for run in share.missing:
+            wanted.setdefault(run.identity, []).append((share, run))
+    with _bar(shares) as bar:
+        for takers, outcome in _outcomes(list(wanted.values()), workers):
+            takers[0][0].count(outcome)
+            for share, run in takers:
+                share.take(run, outcome)
+                bar.set_description(share.experiment.name, refresh=False)
+            bar.set_postfix(failed=sum(len(one.failures) for one in shares), refresh=False)
+            bar.update(len(takers))
+            yield [share for share in shares if any(share is taker for taker, _ in takers)]
 
 
 def _share(
@@ -245,6 +255,8 @@ def _outcomes(wanted: Sequence[Takers], workers: Workers) -> Iterator[tuple[Take
 
 
 def _computed(wanted: Sequence[Takers], workers: Workers) -> Iterator[tuple[Takers, Outcome]]:
+    if not wanted:  # nor is a cluster, which may be gone by now
+        return
     runs = [takers[0][1] for takers in wanted]
     calls = [(run.compute, run.parameters, run.identity) for run in runs]
     for index, result in workers.completed(attempt, calls):
@@ -266,9 +278,10 @@ def _over(share: _Share, parameters: ParameterSet) -> Swept:
     )
     share.store.tidy(share.runs)
     if share.failures:
+        first = next(run.name for run in share.missing if run.name in share.failures)
         failure = (
             f"{share.experiment.name}: {len(share.failures)} of {len(share.runs)} runs failed, "
-            f"the others are kept; first {share.failures[0]}"
+            f"the others are kept; first {first}: {share.failures[first]}"
         )
         return replace(swept, failure=failure)
     if share.missing or not _tables_are_current(share.store, swept.identity):
@@ -328,7 +341,8 @@ def _tabulate(swept: Swept, parameters: ParameterSet, store: Store, runs: Sequen
             "tables_identity": swept.identity,
             "lock": lock_digest(),
             "runs": of_runs,
-            "wall_time": round(swept.seconds, 3),
+            # Where no run was computed for this experiment, no time was either.
+            **({"wall_time": round(swept.seconds, 3)} if swept.computed else {}),
             "files": file_digests(store),
             **common,
         }

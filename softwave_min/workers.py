@@ -169,7 +169,7 @@ class Processes:
         """
         if self.jobs == 1:
             return _called(function, arguments)
-        with _interrupts_ignored():  # a worker inherits that, and ends with this process
+        with _interrupts_held_back():  # for good in a worker, which ends with this process
             try:
                 return self._started().submit(function, *arguments)
             except BrokenExecutor:  # a worker died; the calls that it had are told so
@@ -195,15 +195,12 @@ def _called(function: Callable[..., Any], arguments: Arguments) -> Future[Any]:
 
 
 @contextmanager
-def _interrupts_ignored() -> Iterator[None]:
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    former = signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _interrupts_held_back() -> Iterator[None]:
+    former = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, former)
+        signal.pthread_sigmask(signal.SIG_SETMASK, former)
 
 
 def _end_with_parent() -> None:

@@ -8,10 +8,12 @@ import shutil
 import socket
 import subprocess
 import sys
+import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from toy_sweep import install, toy
+from toy_sweep import die, install, toy
 
 from softwave_min import commands, compare, workers
 from softwave_min.command_line import main
@@ -19,6 +21,7 @@ from softwave_min.experiments import NAMES, experiment
 from softwave_min.experiments.experiment import Tolerance
 from softwave_min.identity import ROOT
 from softwave_min.parameters import data_folder
+from softwave_min.store import Run
 
 NOMINAL = data_folder() / "parameters" / "calibrated.toml"
 TARGETS = {
@@ -189,7 +192,7 @@ def toys(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(commands, "experiment", commands.experiment)
 
     def run(*arguments, known=THREE, status=0):
-        install(known)
+        install(*(known if isinstance(known, tuple) else (known,)))
         assert main([str(argument) for argument in arguments]) == status
         return capsys.readouterr().out
 
@@ -274,6 +277,18 @@ def test_a_failed_run_is_exit_status_1_and_no_tables(tmp_path, toys):
     printed = toys("run", "--jobs", "1", known=toy((-1, 0, 1), 0.0), status=1)
     assert "figures drawn" not in printed
     assert files_below(tmp_path / "results") == []
+
+
+def test_figures_are_drawn_though_a_run_takes_the_painter_along(toys, monkeypatch):
+    fatal = replace(THREE, name="fatal", runs=lambda _: [Run(f"d{i}", die, i) for i in range(2)])
+    monkeypatch.setattr(commands, "draw_files", drawn_slowly)
+    printed = toys("run", "--jobs", "2", known=(THREE, fatal), status=1)
+    assert "toy: figures drawn" in printed
+    assert "fatal: figures" not in printed
+
+
+def drawn_slowly(*_):
+    time.sleep(1.0)
 
 
 # --- against the committed tables -------------------------------------------------------

@@ -1,6 +1,7 @@
 """The optimal control problem and its solvers."""
 
 from collections import Counter
+from copy import deepcopy
 from dataclasses import replace
 from itertools import product
 
@@ -148,6 +149,65 @@ def test_the_engine_moves_the_plant_as_its_readable_twin(nominal, steps, columns
         state, q_bar = rng.normal(size=6), rng.normal(size=3)
         expected = readable.advance(state, q_bar, flow)
         np.testing.assert_allclose(engine.advance(state, q_bar, flow), expected, atol=1e-8)
+
+
+def arm_of(parameters, segments, points):
+    """The arm's first segment, several times over, and gains for as many."""
+
+    def repeated(values):
+        return (values[0],) * segments
+
+    arm, gains = parameters.arm, parameters.baseline
+    names = ("length", "diameter", "density", "stiffness", "damping")
+    alike = {name: repeated(getattr(arm, name)) for name in names}
+    gains = replace(
+        gains,
+        proportional_gain=repeated(gains.proportional_gain),
+        derivative_gain=repeated(gains.derivative_gain),
+    )
+    return Arm(replace(arm, quadrature_points=points, **alike), parameters.fluid), gains
+
+
+@needs_compiler
+@pytest.mark.parametrize(("segments", "points", "failed"), [(1, 3, 0), (2, 5, 2)])
+def test_the_engine_serves_any_number_of_segments_and_places(nominal, segments, points, failed):
+    arm, gains = arm_of(nominal, segments, points)
+    believed = InnerLoop.packed(gains, FailureParameters(failed, "locked", known=True))
+    settings = replace(
+        nominal.nmpc, horizon=9, substeps=2, torque_bound=0.5, torque_weight=30.0, max_iterations=4
+    )
+    engine = Engine(arm, believed, believed, settings, nominal.simulation)
+    twin = GaussNewton(arm, believed, settings)
+    plant = ExtrapolatedPlant(arm, believed, nominal.simulation, settings.control_period)
+    rng = np.random.default_rng(segments)
+    for _ in range(3):
+        flow = 0.05 * rng.normal(size=(9, arm.structure.flow_size))
+        problem = Problem(
+            state=0.5 * rng.normal(size=2 * segments),
+            previous=rng.uniform(-0.3, 0.3, segments),
+            reference=np.tile(rng.uniform([-0.5, -4.5], [0.5, -3.5]), (9, 1)),
+            forecast=Forecast(flow, 0.1 * rng.normal(size=(9, segments))),
+        )
+        guess = rng.uniform(-0.5, 0.5, (9, segments))
+        ours, readable = engine.solve(problem, guess), twin.solve(problem, guess)
+        assert (ours.status, ours.iterations) == (readable.status, readable.iterations)
+        np.testing.assert_allclose(ours.inputs, readable.inputs, rtol=0, atol=1e-9)
+        there = [one.advance(problem.state, guess[0], flow[0]) for one in (engine, plant)]
+        np.testing.assert_allclose(*there, rtol=0, atol=1e-9)
+
+
+def test_a_rollout_is_its_own_and_of_the_whole_horizon(nominal):
+    scenario = scenario_at(nominal, duration=0.5)
+    solver = first_solver(scenario)
+    problem, guess = next(recorded_problems(scenario, 1))
+    given = (problem.state, guess, problem.forecast)
+    first = solver.predict(*given)
+    kept = deepcopy(first)
+    solver.predict(problem.state + 0.3, guess - 0.2, problem.forecast)
+    for name, array in vars(kept).items():
+        np.testing.assert_array_equal(getattr(first, name), array)
+    with pytest.raises(ValueError, match="reshape"):
+        solver.predict(problem.state, guess[:1], problem.forecast)
 
 
 @needs_compiler

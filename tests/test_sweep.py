@@ -16,13 +16,13 @@ import numpy as np
 import pandas as pd
 import psutil
 import pytest
-from toy_sweep import RUNS, toy
+from toy_sweep import RUNS, Draw, toy
 from toy_sweep import compute as compute_sample
 
 from softwave_min import store as stores
 from softwave_min.identity import ROOT, run_identity
 from softwave_min.parameters import parameter_set
-from softwave_min.store import Store, read_table
+from softwave_min.store import Run, Store, read_table
 from softwave_min.sweep import SweepError, compute, compute_all
 from softwave_min.workers import Cluster, Processes, attempt
 
@@ -94,6 +94,15 @@ def test_a_worker_with_another_source_computes_nothing():
     assert "another source" in attempt(compute_sample, draw, "identity of older source").failure
 
 
+def test_a_run_under_two_names_in_one_experiment_is_computed_once_and_has_two_rows(shelf):
+    twice = replace(
+        toy(pause=0.0),
+        runs=lambda _: [Run(name, compute_sample, Draw(1, 5, 0.0)) for name in "ab"],
+    )
+    assert compute(twice, parameter_set(), shelf, Processes(1)) == 1
+    assert list(read_table(shelf.folder / "means.csv")["run"]) == ["a", "b"]
+
+
 # --- failures ---------------------------------------------------------------------------
 
 
@@ -116,6 +125,21 @@ def test_an_error_lets_the_workers_go_at_once():
     with pytest.raises(KeyboardInterrupt):
         interrupted()
     assert time.perf_counter() - started < PATIENCE
+
+
+def test_an_error_does_not_wait_for_preparations_that_nobody_needs_any_more(tmp_path):
+    slow = [
+        replace(
+            toy(range(10 * i, 10 * i + 2), 0.0, prepare=lambda _: time.sleep(1.0)), name=f"t{i}"
+        )
+        for i in range(5)
+    ]
+    asked = [(one, Store(one.name, tmp_path)) for one in (*slow, toy(range(90, 92), 0.0))]
+    started = time.perf_counter()
+    swept = compute_all(asked, parameter_set(), Processes(1))
+    assert next(swept).experiment.name == "toy"
+    swept.close()
+    assert time.perf_counter() - started < 2.0
 
 
 def test_what_is_submitted_later_is_done_before_what_is_still_to_be_handed_out(tmp_path):

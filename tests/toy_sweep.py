@@ -35,6 +35,12 @@ def compute(draw):
     return {"sample": np.random.default_rng(draw.seed).normal(size=draw.size)}
 
 
+def die(_):
+    """A run that takes its process along."""
+    time.sleep(0.3)
+    os._exit(1)
+
+
 def toy(seeds=range(RUNS), pause=PAUSE, **options):
     """The experiment: one random sample for each seed."""
     from softwave_min.experiments.experiment import Experiment

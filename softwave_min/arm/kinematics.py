@@ -45,8 +45,10 @@ class BodyPoint:
     """(x, z), in m."""
     angle: ca.SX
     """Direction of the tangent, in rad."""
-    derivatives: list[tuple[ca.SX, ca.SX, ca.SX]]
-    """D_1, D_2, D_3 by each bending angle up to the point's own, in m/rad^m."""
+    derivatives: list[tuple[ca.SX, ca.SX]]
+    """D_1, D_2 by each bending angle up to the point's own, in m/rad^m."""
+    third: ca.SX
+    """D_3 by the point's own bending angle, in m/rad^3."""
     angle_jacobian: ca.SX | ca.DM
     """(n,), derivative of the tangent's direction by q, dimensionless."""
     qd: ca.SX
@@ -59,7 +61,7 @@ class BodyPoint:
     @property
     def jacobian(self) -> ca.SX:
         """J(s, q), 2 x n, in m/rad."""
-        columns = [first for first, _, _ in self.derivatives]
+        columns = [first for first, _ in self.derivatives]
         beyond = self.qd.numel() - len(columns)
         return ca.horzcat(*columns, ca.SX.zeros(2, beyond))
 
@@ -84,7 +86,7 @@ class BodyPoint:
         if self.base is None:
             return ca.SX.zeros(2, self.qd.numel())
         turning, own = self._turning(rates)
-        first, second, _ = self.derivatives[-1]
+        first, second = self.derivatives[-1]
         return self._grown(
             self.base.gradient_of_product(rates),
             self._lever_product(rates),
@@ -106,7 +108,7 @@ class BodyPoint:
         return self._grown(
             self.base.gradient_of_convective_acceleration(),
             self._lever_convection,
-            _turned_convection(turning, own, self.derivatives[-1]),
+            _turned_convection(turning, own, (*self.derivatives[-1], self.third)),
         )
 
     def hessian_along(self, force: ca.SX) -> ca.SX:
@@ -114,7 +116,7 @@ class BodyPoint:
         n, own = self.qd.numel(), len(self.derivatives)
         matrix = ca.SX.zeros(n, n)
         for k in range(own):
-            first, second, _ = self.derivatives[k]
+            first, second = self.derivatives[k]
             matrix[k, k] = ca.dot(second, force)
             for j in range(k):
                 matrix[j, k] = matrix[k, j] = ca.dot(quarter_turn(first), force)
@@ -132,7 +134,7 @@ class BodyPoint:
 
     @property
     def _lever_convection(self) -> ca.SX:
-        first, second, _ = self.derivatives[-1]
+        first, second = self.derivatives[-1]
         return _turned_convection(*self._turning(self.qd), (self.lever, first, second))
 
     def _grown(self, base: ca.SX, lever: ca.SX, own: ca.SX) -> ca.SX:
@@ -217,16 +219,13 @@ def body_point(
     own = (
         length * s**2 * quarter_turn(_rotated(base.angle, *first)),
         -length * s**3 * _rotated(base.angle, *second),
-        -length * s**4 * quarter_turn(_rotated(base.angle, *third)),
     )
-    upstream = [
-        (by_one + turned, by_two - lever, by_three - turned)
-        for by_one, by_two, by_three in base.derivatives
-    ]
+    upstream = [(by_one + turned, by_two - lever) for by_one, by_two in base.derivatives]
     return BodyPoint(
         position=base.position + lever,
         angle=base.angle + s * q[segment],
         derivatives=[*upstream, own],
+        third=-length * s**4 * quarter_turn(_rotated(base.angle, *third)),
         angle_jacobian=ca.vertcat(*[1.0] * segment, s, *[0.0] * (q.numel() - segment - 1)),
         qd=base.qd,
         base=base,
@@ -239,7 +238,19 @@ def segment_bases(
 ) -> list[BodyPoint]:
     """Motion of the base of every segment and, last, of the arm's tip."""
     n = q.numel()
-    bases = [BodyPoint(base_position, base_angle, [], ca.DM.zeros(n), qd, None, ca.SX.zeros(2))]
+    at_rest = ca.SX.zeros(2)
+    bases = [
+        BodyPoint(
+            base_position,
+            base_angle,
+            derivatives=[],
+            third=at_rest,
+            angle_jacobian=ca.DM.zeros(n),
+            qd=qd,
+            base=None,
+            lever=at_rest,
+        )
+    ]
     for segment in range(n):
         bases.append(body_point(bases[-1], segment, q, length[segment], 1.0))
     return bases

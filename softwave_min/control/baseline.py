@@ -84,9 +84,9 @@ class InnerLoop:
         """Torque under the command ``q_bar`` in the state x = (q, qd), in N m."""
         return self.torque_under(self.command_torque(structure, values, q_bar), x)
 
-    def torque_by_command(self, structure: Structure, values: Values, q_bar: ca.SX) -> ca.SX:
+    def torque_by_command(self, command_slope: ca.SX) -> ca.SX:
         """Derivative of the torque by the command, n x n, in N m/rad."""
-        return ca.diag(self.actuated) @ self.command_slope(structure, values, q_bar)
+        return ca.diag(self.actuated) @ command_slope
 
     def torque_by_state(self) -> ca.SX:
         """Derivative of the torque by (q, qd), n x 2 n."""
@@ -254,7 +254,7 @@ def _correction_function(structure: Structure) -> ca.Function:
     values, loop = Values.unpacked(packed, n), InnerLoop.unpacked(gains, n)
     jacobian = mechanics(structure, plan, ca.SX.zeros(n), values).tip_jacobian
     moved = plan + _least_change(jacobian, damping, w)
-    slope = loop.torque_by_command(structure, values, moved)
+    slope = loop.torque_by_command(loop.command_slope(structure, values, moved))
     command = moved - solve_symmetric(slope, load)
     inputs = [plan, w, load, damping, gains, packed]
     return ca.Function("correction", inputs, ca.cse([command]))

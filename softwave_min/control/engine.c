@@ -66,7 +66,7 @@ typedef struct {
     double *states;
     double *now, *change, *end; /* of the columns, and of a step */
     double *command, *one_input, *one_command, *one_slope;
-    double *motion, *previous_motion, *sensitivity, *row;
+    double *motion, *previous_motion, *row;
     double *hessian, *factor, *gradient, *direction, *trial, *residual, *multiplier;
     double *no_disturbance;
     int *set;
@@ -118,7 +118,6 @@ static long cut(const engine *e, double *work, pieces *p) {
     p->one_slope = take(work, &used, n * n * WIDE);
     p->motion = take(work, &used, x * size);
     p->previous_motion = take(work, &used, x * size);
-    p->sensitivity = take(work, &used, 2 * k * size);
     p->row = take(work, &used, size);
     p->hessian = take(work, &used, size * size);
     p->factor = take(work, &used, size * size);
@@ -425,7 +424,7 @@ static void condense(const engine *e, const task *t, const double *inputs, piece
         }
         double scale = k + 1 < e->horizon ? e->tip_scale : e->terminal_scale;
         for (int row = 0; row < 2; row++) {
-            double *g = p->sensitivity + (2 * k + row) * size;
+            double *g = p->row;
             double error = scale * (tip[row * WIDE] - t->reference[2 * k + row]);
             for (int c = 0; c < columns; c++) g[c] = 0;
             for (int m = 0; m < n; m++) {

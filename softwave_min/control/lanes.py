@@ -58,8 +58,8 @@ def lane_code(
         ``arg[i][e]``; that of argument ``l`` of another one, or of an output, is
         ``arg[i][arguments * e + l]``.
     places
-        How many places of the quadrature at once. With those that its rule lacks to a multiple,
-        it is filled up with places of weight 0.
+        How many places of the quadrature at once. A rule whose length is no multiple of it is
+        filled up with places of weight 0.
 
     Raises
     ------
@@ -128,6 +128,7 @@ def _summed(function: Summed, places: int, given: Given) -> Iterator[str]:
     statements, terms = _translated(
         summand, lambda i, e: "load_places(place[round])" if i == last else given(i, e), "t", last
     )
+    # Of a structural zero no sum is needed.
     terms = [term for term in terms if term.of.value != "all(0.0)"]
     yield _table("place", [s for s, _ in rule], places)
     yield _table("weight", [weight for _, weight in rule], places)

@@ -135,7 +135,7 @@ class _Buffered:
         next call.
         """
         for array, given in zip(self.arguments, columns, strict=False):
-            array[:] = given
+            array[:] = np.reshape(given, array.shape)  # which refuses to fill up a horizon
         self._evaluate()
         return [array.T for array in self._results]
 

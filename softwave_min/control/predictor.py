@@ -93,18 +93,14 @@ def stage_function(structure: Structure, steps: PeriodSteps) -> ca.Function:
     for index in range(steps.substeps):
         start = index * length - steps.period / 2
         after = _extrapolated(held, after, start, length, steps.columns)
-    inputs = {"x": x, **given.inputs}
-    inputs["command_torque"] = q_bar  # in its place
+    others = {name: one for name, one in given.inputs.items() if name != "command_torque"}
     outputs = {
         "next": after.x,
         "A": after.by_state,
         "B": after.by_torque @ slope,
         **_period_outputs(held, x, after.x, slope),
     }
-    names = ["x", "q_bar", *list(inputs)[2:]]
-    return dense_function(
-        "predictor_stage", dict(zip(names, inputs.values(), strict=True)), outputs
-    )
+    return dense_function("predictor_stage", {"x": x, "q_bar": q_bar, **others}, outputs)
 
 
 @cache
@@ -167,7 +163,7 @@ def _period_outputs(held: Held, x: ca.SX, after: ca.SX, slope: ca.SX) -> dict[st
         "tip_jacobian": end.tip_jacobian,
         "torque": held.loop.torque_under(held.command_torque, x),
         "torque_by_state": held.loop.torque_by_state(),
-        "torque_by_command": ca.diag(held.loop.actuated) @ slope,
+        "torque_by_command": held.loop.torque_by_command(slope),
     }
 
 
