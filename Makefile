@@ -75,10 +75,10 @@ test: environment ## Unit tests, every notebook against its outputs, the book; f
 verify: environment ## Compute everything once more, elsewhere, and compare with the committed tables
 	@$(PY) -m softwave_min verify
 
-seeds: environment ## The headline numbers in 20 random seas: up to a quarter of an hour
+seeds: environment ## The headline numbers in 20 random seas: six minutes
 	@$(PY) -m softwave_min run random_seas
 
-audit: environment ## All that is computed on request: seas, stars, readings, ablations; an hour
+audit: environment ## All that is computed on request: seas, stars, readings, ablations; 20 minutes
 	@$(PY) -m softwave_min run random_seas star_sweep star_drag ablations open_points
 
 calibration: environment ## Search for the parameters that come closest to the paper's numbers
