@@ -179,7 +179,7 @@ def followed(run):
     if not run.parameters.fluid.drag_coefficient:
         off *= sea.peak_period
     tip = target + off[:, None] * [1.0, 0.0]
-    one = {"tip": tip, "q": np.full((STEPS + 1, 3), 0.1), "target": target}
+    one = {"error": off, "tip": tip, "q": np.full((STEPS + 1, 3), 0.1), "target": target}
     one |= {"status": np.zeros(STEPS, dtype=int), "source": np.zeros(STEPS, dtype=int)}
     one |= {"drag": np.full((STEPS, 3), 3.0), "fluid_inertia": np.full((STEPS, 3), 1.0)}
     one |= {"added_mass": np.full((STEPS, 3), 0.5)}
