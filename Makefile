@@ -55,7 +55,7 @@ book: notebooks ## Build the book if an input changed: book/_build/html/index.ht
 lab: computed ## Open the notebooks in JupyterLab
 	@$(PY) -m jupyterlab notebooks
 
-bench: environment ## Time the solvers beside their peers (installed apart), 20 minutes; judge the bars
+bench: environment ## Time the solvers beside their peers (installed apart), 15 minutes; judge the bars
 	@$(PY) bench/run.py
 	$(PY) bench/plant_integrators.py
 	$(PY) bench/quadrature.py
