@@ -7,6 +7,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from arm_cases import uniform
 from scipy.optimize import lsq_linear
 
 from softwave_min.arm import Arm
@@ -151,27 +152,13 @@ def test_the_engine_moves_the_plant_as_its_readable_twin(nominal, steps, columns
         np.testing.assert_allclose(engine.advance(state, q_bar, flow), expected, atol=1e-8)
 
 
-def arm_of(parameters, segments, points):
-    """The arm's first segment, several times over, and gains for as many."""
-
-    def repeated(values):
-        return (values[0],) * segments
-
-    arm, gains = parameters.arm, parameters.baseline
-    names = ("length", "diameter", "density", "stiffness", "damping")
-    alike = {name: repeated(getattr(arm, name)) for name in names}
-    gains = replace(
-        gains,
-        proportional_gain=repeated(gains.proportional_gain),
-        derivative_gain=repeated(gains.derivative_gain),
-    )
-    return Arm(replace(arm, quadrature_points=points, **alike), parameters.fluid), gains
-
-
 @needs_compiler
 @pytest.mark.parametrize(("segments", "points", "failed"), [(1, 3, 0), (2, 5, 2)])
 def test_the_engine_serves_any_number_of_segments_and_places(nominal, segments, points, failed):
-    arm, gains = arm_of(nominal, segments, points)
+    arm = Arm(uniform(segments, quadrature_points=points), nominal.fluid)
+    cut = ("proportional_gain", "derivative_gain")
+    some = {name: getattr(nominal.baseline, name)[:segments] for name in cut}
+    gains = replace(nominal.baseline, **some)
     believed = InnerLoop.packed(gains, FailureParameters(failed, "locked", known=True))
     settings = replace(
         nominal.nmpc, horizon=9, substeps=2, torque_bound=0.5, torque_weight=30.0, max_iterations=4
