@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from recording import Recording
 from step_time import Sample
 
-from softwave_min.identity import ROOT
+from softwave_min.data import ROOT
 from softwave_min.native import compiler
-from softwave_min.store import machine, repository_state
+from softwave_min.runs.store import machine, repository_state
 
 __all__ = ["FORMULATIONS", "PeerMethod", "Peers", "circumstances", "on_one_core"]
 

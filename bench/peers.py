@@ -30,8 +30,8 @@ from recording import Recording, bench_parameters
 
 from softwave_min.arm import Arm, Structure, Values, mechanics
 from softwave_min.control.baseline import InnerLoop
-from softwave_min.control.interior_point import transition_function
 from softwave_min.control.predictor import PeriodSteps
+from softwave_min.control.reference.interior_point import transition_function
 from softwave_min.parameters import ParameterSet
 
 Floats = NDArray[np.float64]

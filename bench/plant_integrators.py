@@ -19,9 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from softwave_min.parameters import ParameterSet, data_folder, load_parameters
-from softwave_min.plant import rate_function
+from softwave_min.data import data_folder
+from softwave_min.parameters import ParameterSet, load_parameters
 from softwave_min.simulation import Scenario, plant_of
+from softwave_min.simulation.plant import rate_function
 from softwave_min.waves import Sea
 
 Floats = NDArray[np.float64]

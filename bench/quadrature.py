@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from softwave_min.parameters import ParameterSet, data_folder, load_parameters
+from softwave_min.data import data_folder
+from softwave_min.parameters import ParameterSet, load_parameters
 from softwave_min.simulation import BaselineController, Scenario, simulate
 from softwave_min.waves import Sea
 

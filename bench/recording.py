@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from softwave_min.control.nmpc import Problem, Solution, Solver
 from softwave_min.control.preview import Forecast
-from softwave_min.experiments.paper import poses, wave_cases
-from softwave_min.parameters import ParameterSet, data_folder, load_parameters
+from softwave_min.data import data_folder
+from softwave_min.paper.cases import poses, wave_cases
+from softwave_min.parameters import ParameterSet, load_parameters
 from softwave_min.simulation import NmpcController, Scenario, simulate, solver_of
 from softwave_min.waves import Sea
 

@@ -43,18 +43,18 @@ from step_time import (
     table,
 )
 
-from softwave_min.control.interior_point import InteriorPoint
 from softwave_min.control.nmpc import Status
+from softwave_min.control.reference.interior_point import InteriorPoint
 from softwave_min.experiments import example_case
 from softwave_min.native import compiler
 from softwave_min.parameters import ParameterSet
+from softwave_min.runs.store import table_text, write_atomically
 from softwave_min.simulation import (
     Scenario,
     preview_of,
     root_mean_square_error,
-    simulate_nmpc,
+    simulate,
 )
-from softwave_min.store import table_text, write_atomically
 
 IPOPT_TOLERANCE = 1e-8
 """IPOPT's own default."""
@@ -215,7 +215,7 @@ def real_time_loops(parameters: ParameterSet, steps: int) -> pd.DataFrame:
             if count is not None:
                 nmpc = replace(p.nmpc, real_time=True, max_iterations=count)
                 scenario = replace(scenario, parameters=replace(p, nmpc=nmpc))
-            loop = simulate_nmpc(scenario)
+            loop = simulate(scenario, "nmpc")
             error = root_mean_square_error(loop.error)
             converged = converged or error
             rows.append(

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from recording import Recording
 
-from softwave_min.control.engine import Engine
+from softwave_min.control.compiled.engine import Engine
 from softwave_min.control.nmpc import GaussNewton, Problem, Solver, Status
 from softwave_min.native import compiler
 from softwave_min.simulation import Scenario

@@ -25,16 +25,10 @@ if TYPE_CHECKING:
     from nbformat import NotebookNode
 
 from softwave_min import parameters
-from softwave_min.experiments import NAMES
-from softwave_min.identity import (
-    PACKAGE,
-    ROOT,
-    digest,
-    imported_modules,
-    lock_digest,
-    source_files,
-)
-from softwave_min.store import results_folder, write_atomically
+from softwave_min.data import PACKAGE, ROOT
+from softwave_min.runs.identity import digest, imported_modules, lock_digest, source_files
+from softwave_min.runs.store import results_folder, write_atomically
+from softwave_min.studies.catalogue import NAMES
 
 STAMPS = ROOT / ".build" / "notebooks"
 CELL_TIMEOUT = 300

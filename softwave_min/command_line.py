@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import NoReturn
 
 from softwave_min import commands
-from softwave_min.claims import ClaimError
+from softwave_min.data import ParameterError
 from softwave_min.native import CompilerError
-from softwave_min.parameters import DEFAULT_SET, SET_NAMES, ParameterError
-from softwave_min.sweep import SweepError
-
-__all__ = ["main"]
+from softwave_min.paper.claims import ClaimError
+from softwave_min.parameters import DEFAULT_SET, SET_NAMES
+from softwave_min.runs.sweep import SweepError
 
 FAILED = 1
 USER_ERROR = 2
@@ -86,7 +85,7 @@ def _parser() -> argparse.ArgumentParser:
     search = subparsers.add_parser(
         "calibrate",
         help="search for the parameter set that comes closest to the paper's numbers",
-        description="Search as data/parameters/calibration.toml says; goes on where it was "
+        description="Search as data/studies/calibration.toml says; goes on where it was "
         "interrupted.",
     )
     search.set_defaults(command=commands.calibrate)
@@ -96,7 +95,7 @@ def _parser() -> argparse.ArgumentParser:
     study = subparsers.add_parser(
         "sensitivity",
         help="find out which of the open values decide the headline numbers",
-        description="Judge the sets that data/parameters/sensitivity.toml asks for; goes on where "
+        description="Judge the sets that data/studies/sensitivity.toml asks for; goes on where "
         "it was interrupted.",
     )
     study.set_defaults(command=commands.sensitivity)

@@ -15,7 +15,10 @@ from typing import TextIO
 
 from tqdm import tqdm
 
-from softwave_min.claims import (
+from softwave_min.data import ParameterError, data_folder
+from softwave_min.figures.files import draw_files
+from softwave_min.native import description
+from softwave_min.paper.claims import (
     are_fresh,
     evaluate,
     missing_tables,
@@ -24,7 +27,14 @@ from softwave_min.claims import (
     verdicts_path,
     write,
 )
-from softwave_min.compare import (
+from softwave_min.parameters import (
+    DEFAULT_SET,
+    SET_NAMES,
+    ParameterSet,
+    load_parameters,
+    parameter_set,
+)
+from softwave_min.runs.compare import (
     Comparison,
     committed_stems,
     committed_table,
@@ -32,20 +42,10 @@ from softwave_min.compare import (
     table_stems,
     tolerances_of,
 )
-from softwave_min.experiments import NAMES, Experiment, experiment
-from softwave_min.figures.files import draw_files
-from softwave_min.native import description
-from softwave_min.parameters import (
-    DEFAULT_SET,
-    SET_NAMES,
-    ParameterError,
-    ParameterSet,
-    data_folder,
-    load_parameters,
-    parameter_set,
-)
-from softwave_min.store import Store, results_folder, table_text, write_atomically
-from softwave_min.sweep import (
+from softwave_min.runs.executor import Cluster, Processes, Workers
+from softwave_min.runs.experiment import Experiment
+from softwave_min.runs.store import Store, results_folder, table_text, write_atomically
+from softwave_min.runs.sweep import (
     Freshness,
     SweepError,
     Swept,
@@ -55,20 +55,7 @@ from softwave_min.sweep import (
     freshness,
     tables_identity,
 )
-from softwave_min.workers import Cluster, Processes, Workers
-
-__all__ = [
-    "calibrate",
-    "claims",
-    "compare",
-    "figures",
-    "list_experiments",
-    "run",
-    "sensitivity",
-    "status",
-    "verify",
-]
-
+from softwave_min.studies.catalogue import NAMES, experiment
 
 SEARCH = "calibration"
 """Folder of its results."""
@@ -308,8 +295,8 @@ def compare(options: Namespace) -> int:
 def calibrate(options: Namespace) -> int:
     """Search for the parameter set that comes closest to the paper's numbers."""
     # Imported here, as is what is below for one command alone.
-    from softwave_min.calibration import best_of, best_set_text, search_settings  # noqa: PLC0415
-    from softwave_min.calibration import calibrate as search_for_set  # noqa: PLC0415
+    from softwave_min.studies.calibration import best_of, best_set_text, search_settings  # noqa: PLC0415
+    from softwave_min.studies.calibration import calibrate as search_for_set  # noqa: PLC0415
 
     store = Store(SEARCH, options.results.resolve() if options.results else results_folder())
     with _workers(options) as workers:
@@ -331,7 +318,7 @@ def calibrate(options: Namespace) -> int:
 def sensitivity(options: Namespace) -> int:
     """Find out which of the open values decide the headline numbers."""
     # Imported here: it takes a second, and only the study needs it.
-    from softwave_min.sensitivity import NAME, investigate, study_settings  # noqa: PLC0415
+    from softwave_min.studies.sensitivity import NAME, investigate, study_settings  # noqa: PLC0415
 
     store = Store(NAME, options.results.resolve() if options.results else results_folder())
     with _workers(options) as workers:

@@ -20,9 +20,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
 
-from softwave_min.identity import ROOT
-
-__all__ = ["CompilerError", "build", "compiler", "description"]
+from softwave_min.data import ROOT
 
 FLAGS = ("-march=native", "-fno-math-errno", "-ffp-contract=fast", "-std=c99", "-fPIC")
 """No -ffast-math: the interpreter's numbers, but for the last digit of a product and sum."""

@@ -8,7 +8,6 @@ file or in code.
 from __future__ import annotations
 
 import math
-import tomllib
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar, get_args, get_origin, get_type_hints
@@ -16,25 +15,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar, get_args, get_origin,
 from pydantic import ConfigDict, Field, Strict, TypeAdapter, ValidationError, model_validator
 from pydantic.dataclasses import dataclass
 
-__all__ = [
-    "DEFAULT_SET",
-    "SET_NAMES",
-    "ArmParameters",
-    "BaselineParameters",
-    "FailureParameters",
-    "FluidParameters",
-    "NmpcParameters",
-    "ParameterError",
-    "ParameterSet",
-    "PreviewParameters",
-    "SeaParameters",
-    "SimulationParameters",
-    "data_folder",
-    "load_parameters",
-    "parameter_set",
-    "read_toml",
-    "validate",
-]
+from softwave_min.data import ParameterError, data_folder, read_toml
 
 SET_NAMES = ("calibrated", "physical")
 """The parameter sets that ship: files in ``data/parameters/``."""
@@ -54,10 +35,6 @@ PositiveVector = Annotated[tuple[Positive, ...], Field(min_length=1)]
 NonNegativeVector = Annotated[tuple[NonNegative, ...], Field(min_length=1)]
 
 _FROZEN = ConfigDict(extra="forbid")
-
-
-class ParameterError(ValueError):
-    """A parameter is missing, unknown, of the wrong type or out of range."""
 
 
 @dataclass(frozen=True, config=_FROZEN)
@@ -291,28 +268,6 @@ class ParameterSet:
         return self
 
 
-def data_folder() -> Path:
-    """Folder ``data/`` of the project."""
-    return Path(__file__).resolve().parent.parent / "data"
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file.
-
-    Raises
-    ------
-    ParameterError
-        If the file cannot be read or is not TOML.
-    """
-    try:
-        with path.open("rb") as stream:
-            return tomllib.load(stream)
-    except OSError as error:
-        raise ParameterError(f"{path}: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ParameterError(f"{path}: not valid TOML: {error}") from None
-
-
 def parameter_set(name: str = DEFAULT_SET) -> ParameterSet:
     """Load a shipped parameter set by its name.
 
@@ -335,6 +290,18 @@ def load_parameters(path: Path) -> ParameterSet:
         Naming the file, the field, the value and the allowed range.
     """
     return validate(ParameterSet, read_toml(path), source=path)
+
+
+def load_data(kind: type[T], name: str) -> T:
+    """Make a ``kind`` from a file in ``data/``, such as ``paper/poses.toml``.
+
+    Raises
+    ------
+    ParameterError
+        As `validate`.
+    """
+    path = data_folder() / name
+    return validate(kind, read_toml(path), source=path)
 
 
 def validate(kind: type[T], values: Any, source: Path | str) -> T:

@@ -246,7 +246,7 @@ def _wanted(page: ReportDirective) -> Iterator[Node]:
     data = page.source.parent / "data"
     times = measured_times(page.source)
     chosen = _toml(data / "parameters" / "calibrated.toml")
-    values = _toml(data / "parameters" / "open_values.toml")["value"]
+    values = _toml(data / "studies" / "open_values.toml")["value"]
     asked = {one["ambiguity"] for one in values}
     gaps = [one for one in points(page.source) if one["kind"] == "gap" or one["id"] in asked]
     gaps.sort(key=lambda one: (-times.get(one["id"], -1.0), one["id"]))

@@ -15,13 +15,6 @@ import casadi as ca
 
 from softwave_min.arm.kinematics import BodyPoint
 
-__all__ = [
-    "coriolis_vector",
-    "inertia_matrix",
-    "rotary_inertia_matrix",
-    "solve_symmetric",
-]
-
 MassPoint = tuple[BodyPoint, ca.SX]
 
 

@@ -13,18 +13,6 @@ from __future__ import annotations
 
 import casadi as ca
 
-__all__ = [
-    "cross_flow_convection",
-    "cross_flow_force",
-    "drag_bends",
-    "drag_force",
-    "drag_slopes",
-    "flow_at",
-    "flow_gradient",
-    "in_plane",
-    "local_frame",
-]
-
 SLOPE_ROUNDING = 0.05
 """Relative velocity below which the drag's slope is rounded off, in m/s."""
 

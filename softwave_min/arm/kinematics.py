@@ -20,8 +20,6 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-__all__ = ["BodyPoint", "body_point", "curvature_moments", "quarter_turn", "segment_bases"]
-
 HIGHEST_MOMENT = 3
 SERIES_LIMIT = 0.5
 SERIES_TERMS = 8

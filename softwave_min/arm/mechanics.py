@@ -35,17 +35,6 @@ from softwave_min.arm.hydrodynamics import (
 from softwave_min.arm.kinematics import BodyPoint, body_point, quarter_turn, segment_bases
 from softwave_min.parameters import ArmParameters, FluidParameters
 
-__all__ = [
-    "LOAD_TERMS",
-    "Mechanics",
-    "Rule",
-    "Section",
-    "Structure",
-    "Values",
-    "flow_coefficients",
-    "mechanics",
-]
-
 Floats = NDArray[np.float64]
 Rule = Sequence[tuple[ca.SX | float, ca.SX | float]]
 """Places and weights of a quadrature on [0, 1]."""

@@ -14,8 +14,6 @@ from softwave_min.arm.kinematics import body_point, segment_bases
 from softwave_min.arm.mechanics import LOAD_TERMS, Mechanics, Structure, Values, mechanics
 from softwave_min.parameters import ArmParameters, FluidParameters
 
-__all__ = ["Arm", "pack_flow"]
-
 Floats = NDArray[np.float64]
 
 

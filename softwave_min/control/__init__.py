@@ -1,1 +1,1 @@
-"""The controllers, and what they are told of the sea."""
+"""The optimal control problem and what solves it, the baseline, and the preview of the sea."""

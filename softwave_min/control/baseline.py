@@ -25,8 +25,6 @@ from softwave_min.arm.dynamics import solve_symmetric
 from softwave_min.control.preview import Preview
 from softwave_min.parameters import BaselineParameters, FailureParameters
 
-__all__ = ["Correction", "InnerLoop", "KinematicPlanner", "planner_function"]
-
 Floats = NDArray[np.float64]
 
 

@@ -26,8 +26,6 @@ from softwave_min.arm.mechanics import Rule, flow_coefficients
 from softwave_min.control.baseline import InnerLoop
 from softwave_min.control.summed import Summed
 
-__all__ = ["Held", "ImplicitStep", "slopes_sum", "step_function", "step_sum"]
-
 
 @dataclass(frozen=True)
 class Held:

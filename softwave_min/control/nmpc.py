@@ -26,8 +26,6 @@ from softwave_min.control.predictor import PeriodSteps, rollout_function
 from softwave_min.control.preview import Forecast
 from softwave_min.parameters import NmpcParameters
 
-__all__ = ["GaussNewton", "Problem", "Rollout", "Solution", "Solver", "Status", "scales"]
-
 Floats = NDArray[np.float64]
 
 SUFFICIENT_DECREASE = 1e-4

@@ -21,15 +21,6 @@ from softwave_min.control.implicit_step import Held, ImplicitStep
 from softwave_min.control.summed import dense_function
 from softwave_min.parameters import NmpcParameters
 
-__all__ = [
-    "PeriodSteps",
-    "command_function",
-    "extrapolation_weights",
-    "period_function",
-    "rollout_function",
-    "stage_function",
-]
-
 
 @dataclass(frozen=True)
 class _Reached:

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from softwave_min.parameters import PreviewParameters
 
-__all__ = ["Forecast", "Preview", "noise_deviation", "told_flow"]
-
 Floats = NDArray[np.float64]
 
 

@@ -8,8 +8,6 @@ from typing import Self
 
 import casadi as ca
 
-__all__ = ["Summed", "dense_function"]
-
 
 @dataclass(frozen=True)
 class Summed:

@@ -23,42 +23,22 @@ from softwave_min.arm import Arm
 from softwave_min.control.baseline import KinematicPlanner
 from softwave_min.experiments import star
 from softwave_min.experiments.closed_loop import (
-    Controller,
     LoopRun,
     failed_solves,
     fallbacks,
-    in_sea,
-    judged,
-    over_seas,
-    realisations,
     scenario_of,
     settled_error,
-    simulated,
+    summary_arrays,
     whole_error,
 )
-from softwave_min.experiments.experiment import Experiment, RunArrays, Tables, Tolerance
-from softwave_min.experiments.held import held_flow, simulate_told
-from softwave_min.experiments.paper import poses, wave_cases
+from softwave_min.experiments.places import in_sea, realisations
 from softwave_min.experiments.star_path import StarParameters
+from softwave_min.experiments.zero_order_hold import held_flow, simulate_told
+from softwave_min.paper.cases import poses, wave_cases
 from softwave_min.parameters import ParameterSet
-from softwave_min.simulation import ClosedLoop, Scenario, compile_engine
-from softwave_min.store import Run
-
-__all__ = [
-    "BASELINE",
-    "EXPERIMENT",
-    "NMPC",
-    "PathRun",
-    "PlaceRun",
-    "Variant",
-    "integral_gain",
-    "loop_of",
-    "loops",
-    "path_variants",
-    "places",
-    "variants",
-    "varied",
-]
+from softwave_min.runs.experiment import Experiment, Run, RunArrays, Tables, Tolerance
+from softwave_min.runs.statistics import over_seas
+from softwave_min.simulation import ClosedLoop, Scenario, compile_engine, simulate
 
 SEEDS = 3
 """Random seas, unless the parameters ask for more than one."""
@@ -88,7 +68,7 @@ class Variant:
     name: str
     group: str
     label: str
-    controller: Controller
+    controller: str
     changes: Changes = ()
     """Fields of the parameter set as 'section.name', and their values."""
     held_flow: bool = False
@@ -303,7 +283,7 @@ def loops(run: PlaceRun | PathRun) -> RunData:
     found: RunData = {}
     for variant in run.variants:
         scenario = _scenario(run, varied(run.parameters, variant.changes))
-        found |= judged(loop_of(scenario, variant), variant.name)
+        found |= summary_arrays(loop_of(scenario, variant), variant.name)
     return found
 
 
@@ -317,7 +297,7 @@ def loop_of(scenario: Scenario, variant: Variant) -> ClosedLoop:
     """The closed loop of a variant, whose changes the scenario has already."""
     if variant.held_flow:
         return simulate_told(scenario, held_flow)
-    return simulated(scenario, variant.controller)
+    return simulate(scenario, variant.controller)
 
 
 def prepare(run: Run) -> None:

@@ -24,37 +24,17 @@ from softwave_min.experiments.closed_loop import (
     closed_loops,
     failed_solves,
     fallbacks,
-    in_sea,
-    over_seas,
     prepare,
-    realisations,
     settled_error,
     whole_error,
 )
-from softwave_min.experiments.experiment import Experiment, RunArrays, Tables, Tolerance
-from softwave_min.experiments.paper import poses, wave_cases
+from softwave_min.experiments.places import in_sea, realisations
 from softwave_min.experiments.setpoints import CASES
-from softwave_min.parameters import ParameterSet, Positive, Real, data_folder, read_toml, validate
-from softwave_min.store import Run
+from softwave_min.paper.cases import poses, wave_cases
+from softwave_min.parameters import ParameterSet, Positive, Real, load_data
+from softwave_min.runs.experiment import Experiment, Run, RunArrays, Tables, Tolerance
+from softwave_min.runs.statistics import over_seas
 from softwave_min.waves import wave_number
-
-__all__ = [
-    "ALL",
-    "EXPERIMENT",
-    "INTACT",
-    "PAPERS_CASE",
-    "WINDOWS",
-    "Choice",
-    "Place",
-    "choice",
-    "excitation",
-    "grid_table",
-    "headline",
-    "motion",
-    "places",
-    "spread",
-    "statements",
-]
 
 Floats = NDArray[np.float64]
 Row = Mapping[str, float | int | str]
@@ -115,8 +95,7 @@ class Place:
 
 def choice() -> Choice:
     """The paper's poses, heights and numbers."""
-    path = data_folder() / "paper" / "actuator_failure.toml"
-    return validate(Choice, read_toml(path), source=path)
+    return load_data(Choice, "paper/actuator_failure.toml")
 
 
 def places(parameters: ParameterSet) -> Iterator[Place]:
@@ -197,8 +176,8 @@ def _rows(place: Place, arrays: RunArrays, cases: Sequence[str], period: float) 
                 f"rise_percent{ending}": 100 * (errors[ending] / reference[ending] - 1),
             }
         yield row | {
-            "solves_failed": failed_solves(data),
-            "fallbacks": fallbacks(data),
+            "solves_failed": failed_solves(data, "nmpc"),
+            "fallbacks": fallbacks(data, "nmpc"),
         }
 
 

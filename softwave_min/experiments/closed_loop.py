@@ -1,59 +1,40 @@
-"""Closed loops of both controllers at one place of the grid, as runs of an experiment."""
+"""Closed loops as runs of an experiment, and the numbers that are read off them.
+
+Whatever computes a run stands in a module that knows the library alone: a run is a function of
+its parameters, and reads no file.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from softwave_min.experiments.paper import wave_cases
 from softwave_min.parameters import FailureParameters, ParameterSet
+from softwave_min.runs.experiment import Run
 from softwave_min.simulation import (
+    CONTROLLERS,
     ClosedLoop,
     Scenario,
     compile_engine,
     root_mean_square_error,
-    simulate_baseline,
-    simulate_nmpc,
+    simulate,
 )
-from softwave_min.store import Run
 from softwave_min.waves import Sea
 
-__all__ = [
-    "INTERVAL",
-    "JUDGED",
-    "TRANSIENT",
-    "Controller",
-    "LoopRun",
-    "closed_loops",
-    "failed_solves",
-    "fallbacks",
-    "in_sea",
-    "judged",
-    "kept",
-    "over_seas",
-    "prepare",
-    "realisations",
-    "scenario_of",
-    "settled_error",
-    "simulated",
-    "whole_error",
-    "with_failure",
-]
-
-Controller = Literal["baseline", "nmpc"]
 Path = tuple[tuple[float, float], ...]
 RunData = Mapping[str, NDArray[Any]]
+Window = Literal["whole", "settled"]
 
-INTERVAL = (0.05, 0.5, 0.95)
-"""Quantiles over the random seas: a 90 % interval and its median."""
 TRANSIENT = 10.0
 """Seconds after which a run counts as settled."""
-JUDGED = ("error", "status", "source")
-"""Fields of a closed loop by which it is judged."""
+WINDOWS: Mapping[Window, str] = {"whole": "", "settled": "_settled"}
+"""Windows of an RMSE, start-up included or not, and the ending of their columns."""
+SUMMARY_FIELDS = ("error", "status", "source")
+"""Fields of a closed loop that errors, failed solves and fallbacks are read off."""
 
 
 @dataclass(frozen=True)
@@ -64,14 +45,7 @@ class LoopRun:
     """With the sea, its seed, and the failure."""
     path: Path
     """Desired tip at every control instant, in m; it stays at its last point."""
-    controllers: tuple[Controller, ...] = ("baseline", "nmpc")
-
-
-def in_sea(parameters: ParameterSet, case: str, significant_height: float) -> ParameterSet:
-    """The parameters in one of the paper's wave cases, at a height in m."""
-    period = wave_cases()[case].peak_period
-    sea = replace(parameters.sea, peak_period=period, significant_height=significant_height)
-    return replace(parameters, sea=sea)
+    controllers: tuple[str, ...] = field(default_factory=lambda: tuple(CONTROLLERS))
 
 
 def with_failure(
@@ -80,14 +54,6 @@ def with_failure(
     """The parameters with a failed segment, numbered from 1."""
     known = parameters.failure.known
     return replace(parameters, failure=FailureParameters(segment, manner, known))
-
-
-def realisations(parameters: ParameterSet) -> Iterator[ParameterSet]:
-    """One parameter set for each random sea that is asked for, with its own noise."""
-    for offset in range(parameters.sea.realisations):
-        sea = replace(parameters.sea, seed=parameters.sea.seed + offset, realisations=1)
-        preview = replace(parameters.preview, seed=parameters.preview.seed + offset)
-        yield replace(parameters, sea=sea, preview=preview)
 
 
 def scenario_of(run: LoopRun) -> Scenario:
@@ -109,14 +75,9 @@ def closed_loops(run: LoopRun) -> dict[str, NDArray[Any]]:
     scenario = scenario_of(run)
     found: dict[str, NDArray[Any]] = {}
     for controller in run.controllers:
-        loop = simulated(scenario, controller)
+        loop = simulate(scenario, controller)
         found |= {f"{controller}_{name}": array for name, array in kept(loop).items()}
     return found
-
-
-def simulated(scenario: Scenario, controller: Controller) -> ClosedLoop:
-    """One closed loop under a controller, by name."""
-    return simulate_nmpc(scenario) if controller == "nmpc" else simulate_baseline(scenario)
 
 
 def kept(loop: ClosedLoop) -> dict[str, NDArray[Any]]:
@@ -138,9 +99,9 @@ def kept(loop: ClosedLoop) -> dict[str, NDArray[Any]]:
     }
 
 
-def judged(loop: ClosedLoop, name: str) -> dict[str, NDArray[Any]]:
-    """``<name>_<field>`` for the fields in ``JUDGED``: all that the next four functions read."""
-    return {f"{name}_{field}": getattr(loop, field) for field in JUDGED}
+def summary_arrays(loop: ClosedLoop, name: str) -> dict[str, NDArray[Any]]:
+    """``<name>_<field>`` for ``SUMMARY_FIELDS``: all that the next four functions read."""
+    return {f"{name}_{one}": getattr(loop, one) for one in SUMMARY_FIELDS}
 
 
 def whole_error(data: RunData, name: str) -> float:
@@ -153,17 +114,11 @@ def settled_error(data: RunData, name: str, period: float) -> float:
     return root_mean_square_error(data[f"{name}_error"][round(TRANSIENT / period) :])
 
 
-def failed_solves(data: RunData, name: str = "nmpc") -> int:
-    """Solves that did not converge; each is in the run's ``<name>_status``."""
-    return int(np.count_nonzero(data[f"{name}_status"] > 0))
+def failed_solves(data: RunData, *names: str) -> int:
+    """Solves of the named loops that did not converge; each is in its ``<name>_status``."""
+    return sum(int(np.count_nonzero(data[f"{name}_status"] > 0)) for name in names)
 
 
-def fallbacks(data: RunData, name: str = "nmpc") -> int:
-    """Commands that came from the fallback; each is in the run's ``<name>_source``."""
-    return int(np.count_nonzero(data[f"{name}_source"]))
-
-
-def over_seas(values: ArrayLike) -> tuple[float, float, float]:
-    """5 % quantile, median and 95 % quantile of a number over the random seas."""
-    low, median, high = (float(one) for one in np.quantile(np.asarray(values, float), INTERVAL))
-    return low, median, high
+def fallbacks(data: RunData, *names: str) -> int:
+    """Commands of the named loops that came from a fallback; each is in its ``<name>_source``."""
+    return sum(int(np.count_nonzero(data[f"{name}_source"])) for name in names)

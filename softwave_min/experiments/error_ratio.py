@@ -23,41 +23,21 @@ from softwave_min.arm import Arm, pack_flow
 from softwave_min.control.baseline import KinematicPlanner
 from softwave_min.experiments.closed_loop import (
     TRANSIENT,
-    Controller,
     LoopRun,
     closed_loops,
     failed_solves,
     fallbacks,
-    in_sea,
-    over_seas,
     prepare,
-    realisations,
     settled_error,
     whole_error,
 )
-from softwave_min.experiments.experiment import Experiment, RunArrays, Tables
-from softwave_min.experiments.paper import poses, wave_cases
-from softwave_min.parameters import ParameterSet, Real, data_folder, read_toml, validate
+from softwave_min.experiments.places import in_sea, realisations
+from softwave_min.paper.cases import poses, wave_cases
+from softwave_min.parameters import ParameterSet, Real, load_data
+from softwave_min.runs.experiment import Experiment, Run, RunArrays, Tables
+from softwave_min.runs.statistics import over_seas
 from softwave_min.simulation import root_mean_square_error
-from softwave_min.store import Run
 from softwave_min.waves import Sea, wave_number
-
-__all__ = [
-    "EXPERIMENT",
-    "Cell",
-    "HeldArm",
-    "cell_table",
-    "cells",
-    "curvature_correlations",
-    "depth_pairs",
-    "extremes",
-    "headline",
-    "held_loads",
-    "paper",
-    "period_spread",
-    "torque_table",
-    "trends",
-]
 
 Floats = NDArray[np.float64]
 Point = tuple[float, float]
@@ -90,8 +70,7 @@ class Statements:
 @cache
 def paper() -> Statements:
     """The paper's numbers."""
-    path = data_folder() / "paper" / "error_ratio.toml"
-    return validate(Statements, read_toml(path), source=path)
+    return load_data(Statements, "paper/error_ratio.toml")
 
 
 @dataclass(frozen=True)
@@ -296,8 +275,8 @@ def _errors(cell: Cell, data: Mapping[str, NDArray[Any]]) -> Row:
         "e_mpc": mpc,
         "e_pd": pd_,
         "ratio": mpc / pd_,
-        "solves_failed": failed_solves(data),
-        "fallbacks": fallbacks(data),
+        "solves_failed": failed_solves(data, "nmpc"),
+        "fallbacks": fallbacks(data, "nmpc"),
         "e_mpc_settled": late_mpc,
         "e_pd_settled": late_pd,
         "ratio_settled": late_mpc / late_pd,
@@ -444,7 +423,7 @@ def torque_table(parameters: ParameterSet, arrays: RunArrays) -> pd.DataFrame:
     posture, in 1/m. ``torque_i``: root mean square of the load on segment i's angle, in
     N m; ``torque``: of the norm over the segments.
     """
-    controllers: tuple[Controller, ...] = ("baseline", "nmpc")
+    controllers: tuple[str, ...] = ("baseline", "nmpc")
     return pd.DataFrame(
         [
             {**cell.labels, "controller": controller, **_load(cell, arrays[cell.name], controller)}
@@ -454,7 +433,7 @@ def torque_table(parameters: ParameterSet, arrays: RunArrays) -> pd.DataFrame:
     )
 
 
-def _load(cell: Cell, data: Mapping[str, NDArray[Any]], controller: Controller) -> Row:
+def _load(cell: Cell, data: Mapping[str, NDArray[Any]], controller: str) -> Row:
     start = round(TRANSIENT / cell.loop.parameters.nmpc.control_period)
     posture = data[f"{controller}_q"][start:].mean(axis=0)
     return {

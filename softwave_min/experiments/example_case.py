@@ -16,30 +16,20 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass as validated
 
-from softwave_min.experiments.closed_loop import TRANSIENT, Controller, prepare, simulated
-from softwave_min.experiments.experiment import Experiment, RunArrays, Tables
-from softwave_min.experiments.paper import poses, wave_cases
-from softwave_min.parameters import ParameterSet, Positive, data_folder, read_toml, validate
-from softwave_min.simulation import ClosedLoop, Scenario, root_mean_square_error
-from softwave_min.store import Run
-from softwave_min.waves import BuoyRecord, Sea, measured_sea, named_records
-
-__all__ = [
-    "CONTROLLERS",
-    "EXPERIMENT",
-    "SEAS",
-    "TRANSIENT",
-    "closed_loop",
-    "key_moments",
-    "scenario_of",
-    "sea_of",
-]
+from softwave_min.data import data_folder
+from softwave_min.experiments.closed_loop import TRANSIENT, prepare
+from softwave_min.paper.cases import poses, wave_cases
+from softwave_min.parameters import ParameterSet, Positive, load_data
+from softwave_min.runs.experiment import Experiment, Run, RunArrays, Tables
+from softwave_min.simulation import ClosedLoop, Scenario, root_mean_square_error, simulate
+from softwave_min.waves import Sea
+from softwave_min.waves.records import BuoyRecord, measured_sea, named_records
 
 Floats = NDArray[np.float64]
 Row = Mapping[str, float | int | str]
 
 SEAS = ("jonswap", "measured")
-CONTROLLERS: tuple[Controller, ...] = ("baseline", "nmpc")
+CONTROLLERS: tuple[str, ...] = ("baseline", "nmpc")
 KEY_QUANTILE = 0.9
 """A moment is a key moment where the wave torque exceeds this quantile of itself."""
 KEY_GAP = 0.5
@@ -64,7 +54,7 @@ class ExampleRun:
     target: tuple[float, float]
     record: BuoyRecord | None
     """Measured spectrum, or None for the JONSWAP sea of the parameters."""
-    controller: Controller
+    controller: str
 
 
 def sea_of(run: ExampleRun) -> Sea:
@@ -82,13 +72,12 @@ def scenario_of(run: ExampleRun) -> Scenario:
 
 def closed_loop(run: ExampleRun) -> dict[str, NDArray[Any]]:
     """Simulate one run; the arrays are the fields of ``ClosedLoop``."""
-    return vars(simulated(scenario_of(run), run.controller))
+    return vars(simulate(scenario_of(run), run.controller))
 
 
 def choice() -> Choice:
     """Sea, height and pose of the example."""
-    path = data_folder() / "paper" / "example_case.toml"
-    return validate(Choice, read_toml(path), source=path)
+    return load_data(Choice, "paper/example_case.toml")
 
 
 def runs(parameters: ParameterSet) -> Sequence[Run]:

@@ -15,12 +15,9 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from softwave_min.experiments import actuator_failure, error_ratio, star
-from softwave_min.experiments.closed_loop import JUDGED, LoopRun, closed_loops, prepare
-from softwave_min.experiments.experiment import Experiment, RunArrays, Tables
+from softwave_min.experiments.closed_loop import SUMMARY_FIELDS, LoopRun, closed_loops, prepare
 from softwave_min.parameters import ParameterSet
-from softwave_min.store import Run
-
-__all__ = ["EXPERIMENT", "SEEDS", "in_many_seas"]
+from softwave_min.runs.experiment import Experiment, Run, RunArrays, Tables
 
 SEEDS = 20
 """Random seas, unless the parameters ask for more than one."""
@@ -37,7 +34,7 @@ def in_many_seas(parameters: ParameterSet) -> ParameterSet:
 def errors(run: LoopRun) -> dict[str, NDArray[Any]]:
     """Errors and statuses of the closed loops."""
     found = closed_loops(run)
-    return {name: array for name, array in found.items() if name.endswith(JUDGED)}
+    return {name: array for name, array in found.items() if name.endswith(SUMMARY_FIELDS)}
 
 
 def _named(parameters: ParameterSet) -> Iterator[tuple[str, Run]]:

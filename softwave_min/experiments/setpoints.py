@@ -23,27 +23,14 @@ from scipy.optimize import least_squares
 
 from softwave_min.arm import Arm, Structure, Values, mechanics
 from softwave_min.experiments.closed_loop import LoopRun, closed_loops, prepare, with_failure
-from softwave_min.experiments.experiment import Experiment, RunArrays, Tables, Tolerance
-from softwave_min.experiments.paper import poses
+from softwave_min.paper.cases import poses
 from softwave_min.parameters import (
     ArmParameters,
     FailureParameters,
     FluidParameters,
     ParameterSet,
 )
-from softwave_min.store import Run
-
-__all__ = [
-    "CASES",
-    "EXPERIMENT",
-    "REACHED",
-    "Case",
-    "Reach",
-    "RestingArm",
-    "area",
-    "nearest_posture",
-    "workspace",
-]
+from softwave_min.runs.experiment import Experiment, Run, RunArrays, Tables, Tolerance
 
 Floats = NDArray[np.float64]
 Booleans = NDArray[np.bool_]

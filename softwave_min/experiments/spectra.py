@@ -17,21 +17,11 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass as validated
 
-from softwave_min.experiments.experiment import Experiment, RunArrays, Tables
-from softwave_min.experiments.paper import WaveCase, wave_cases
-from softwave_min.parameters import (
-    ParameterSet,
-    Positive,
-    SeaParameters,
-    data_folder,
-    read_toml,
-    validate,
-)
-from softwave_min.store import Run
+from softwave_min.paper.cases import WaveCase, wave_cases
+from softwave_min.parameters import ParameterSet, Positive, SeaParameters, load_data
+from softwave_min.runs.experiment import Experiment, Run, RunArrays, Tables
 from softwave_min.waves.field import Sea
 from softwave_min.waves.spectrum import Spectrum, jonswap_density, periodogram
-
-__all__ = ["EXPERIMENT", "SeaRecord", "choice"]
 
 INTERVAL = 0.1
 """Time between two elevations, in s."""
@@ -69,8 +59,7 @@ class SeaRecord:
 
 def choice() -> Choice:
     """Height and length of the records."""
-    path = data_folder() / "paper" / "spectra.toml"
-    return validate(Choice, read_toml(path), source=path)
+    return load_data(Choice, "paper/spectra.toml")
 
 
 def runs(parameters: ParameterSet) -> list[Run]:

@@ -21,46 +21,23 @@ from pydantic.dataclasses import dataclass as validated
 from softwave_min.arm import Arm
 from softwave_min.experiments.closed_loop import (
     TRANSIENT,
-    Controller,
     failed_solves,
     fallbacks,
-    in_sea,
-    over_seas,
     prepare,
-    realisations,
-    simulated,
 )
-from softwave_min.experiments.experiment import Experiment, RunArrays, Tables
-from softwave_min.experiments.paper import wave_cases
+from softwave_min.experiments.places import in_sea, realisations
 from softwave_min.experiments.star_path import StarParameters, distance_to_star, star_path
-from softwave_min.parameters import ParameterSet, Positive, data_folder, read_toml, validate
-from softwave_min.simulation import ClosedLoop, Scenario, root_mean_square_error
-from softwave_min.store import Run
+from softwave_min.paper.cases import wave_cases
+from softwave_min.parameters import ParameterSet, Positive, load_data
+from softwave_min.runs.experiment import Experiment, Run, RunArrays, Tables
+from softwave_min.runs.statistics import over_seas
+from softwave_min.simulation import ClosedLoop, Scenario, root_mean_square_error, simulate
 from softwave_min.waves import Sea
-
-__all__ = [
-    "CONTROLLERS",
-    "EXPERIMENT",
-    "METRICS",
-    "STILL",
-    "Choice",
-    "StarRun",
-    "choice",
-    "follow",
-    "headline",
-    "in_still_water",
-    "inner_loop_time",
-    "measures",
-    "period_spread",
-    "runs",
-    "scenario_of",
-    "star_table",
-]
 
 Floats = NDArray[np.float64]
 Row = Mapping[str, Any]
 
-CONTROLLERS: tuple[Controller, ...] = ("baseline", "nmpc")
+CONTROLLERS: tuple[str, ...] = ("baseline", "nmpc")
 STILL = "still"
 """Name of the run without waves."""
 
@@ -86,8 +63,7 @@ class StarRun:
 
 def choice() -> Choice:
     """The nominal star and the paper's numbers."""
-    path = data_folder() / "paper" / "star.toml"
-    return validate(Choice, read_toml(path), source=path)
+    return load_data(Choice, "paper/star.toml")
 
 
 def scenario_of(parameters: ParameterSet, star: StarParameters) -> Scenario:
@@ -108,7 +84,7 @@ def follow(run: StarRun) -> dict[str, NDArray[Any]]:
     scenario = scenario_of(run.parameters, run.star)
     found: dict[str, NDArray[Any]] = {"time": scenario.times}
     for controller in CONTROLLERS:
-        kept = _kept(scenario, simulated(scenario, controller))
+        kept = _kept(scenario, simulate(scenario, controller))
         found |= {f"{controller}_{name}": array for name, array in kept.items()}
     return found
 
@@ -266,7 +242,7 @@ def _star_row(
     arrays: RunArrays,
     case: str,
     run: str,
-    controller: Controller,
+    controller: str,
 ) -> dict[str, Any]:
     found, calm = arrays[run], arrays[STILL]
     series = {

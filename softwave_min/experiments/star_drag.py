@@ -16,21 +16,17 @@ from numpy.typing import NDArray
 from softwave_min.experiments.closed_loop import (
     failed_solves,
     fallbacks,
-    in_sea,
-    judged,
     prepare,
-    realisations,
     settled_error,
-    simulated,
+    summary_arrays,
     whole_error,
 )
-from softwave_min.experiments.experiment import Experiment, RunArrays, Tables
-from softwave_min.experiments.paper import wave_cases
+from softwave_min.experiments.places import in_sea, realisations
 from softwave_min.experiments.star import StarRun, choice, scenario_of
+from softwave_min.paper.cases import wave_cases
 from softwave_min.parameters import ParameterSet
-from softwave_min.store import Run
-
-__all__ = ["EXPERIMENT", "LOADS", "follow", "loaded"]
+from softwave_min.runs.experiment import Experiment, Run, RunArrays, Tables
+from softwave_min.simulation import simulate
 
 LOADS = ("with drag", "without drag")
 
@@ -45,7 +41,7 @@ def loaded(parameters: ParameterSet, load: str) -> ParameterSet:
 
 def follow(run: StarRun) -> dict[str, NDArray[Any]]:
     """Follow the star under NMPC; what ``nmpc`` is ``judged`` by."""
-    return judged(simulated(scenario_of(run.parameters, run.star), "nmpc"), "nmpc")
+    return summary_arrays(simulate(scenario_of(run.parameters, run.star), "nmpc"), "nmpc")
 
 
 def _cases(parameters: ParameterSet) -> Iterator[tuple[str, str, ParameterSet]]:
@@ -83,8 +79,8 @@ def tabulate(parameters: ParameterSet, arrays: RunArrays) -> Tables:
                 "seed": one.sea.seed,
                 "rmse": whole_error(found, "nmpc"),
                 "rmse_settled": settled_error(found, "nmpc", period),
-                "solves_failed": failed_solves(found),
-                "fallbacks": fallbacks(found),
+                "solves_failed": failed_solves(found, "nmpc"),
+                "fallbacks": fallbacks(found, "nmpc"),
             }
         )
     return {"star_drag": pd.DataFrame(rows)}

@@ -12,8 +12,6 @@ from pydantic.dataclasses import dataclass
 
 from softwave_min.parameters import Angle, Count, Positive, Real, Seed
 
-__all__ = ["Drawing", "Manner", "StarParameters", "distance_to_star", "star_path", "star_vertices"]
-
 Floats = NDArray[np.float64]
 Drawing = Literal["outline", "one_stroke"]
 Manner = Literal["edges", "vertices"]

@@ -16,15 +16,8 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Strict
 from pydantic.dataclasses import dataclass as validated
 
-from softwave_min.experiments.closed_loop import (
-    failed_solves,
-    in_sea,
-    prepare,
-    realisations,
-    simulated,
-)
-from softwave_min.experiments.experiment import Experiment, RunArrays, Tables, Tolerance
-from softwave_min.experiments.held import held_reference, simulate_told
+from softwave_min.experiments.closed_loop import failed_solves, prepare
+from softwave_min.experiments.places import in_sea, realisations
 from softwave_min.experiments.star import (
     METRICS,
     STILL,
@@ -35,24 +28,10 @@ from softwave_min.experiments.star import (
     scenario_of,
 )
 from softwave_min.experiments.star_path import Drawing, Manner, StarParameters
-from softwave_min.parameters import (
-    Count,
-    ParameterSet,
-    Positive,
-    data_folder,
-    read_toml,
-    validate,
-)
-from softwave_min.store import Run
-
-__all__ = [
-    "EXPERIMENT",
-    "TOLERANCE",
-    "SweepRun",
-    "Variant",
-    "try_variant",
-    "variants",
-]
+from softwave_min.experiments.zero_order_hold import held_reference, simulate_told
+from softwave_min.parameters import Count, ParameterSet, Positive, load_data
+from softwave_min.runs.experiment import Experiment, Run, RunArrays, Tables, Tolerance
+from softwave_min.simulation import simulate
 
 Row = Mapping[str, Any]
 
@@ -134,7 +113,7 @@ def try_variant(run: SweepRun) -> dict[str, NDArray[Any]]:
 def _tried(run: SweepRun, name: str, parameters: ParameterSet) -> dict[str, NDArray[Any]]:
     scenario = scenario_of(parameters, run.variant.star)
     if run.variant.previewed:
-        loop = simulated(scenario, "nmpc")
+        loop = simulate(scenario, "nmpc")
     else:
         loop = simulate_told(scenario, held_reference)
     return {
@@ -168,8 +147,7 @@ def variants() -> list[Variant]:
 
 
 def _grids() -> tuple[Grid, ...]:
-    path = data_folder() / "paper" / "star_sweep.toml"
-    return validate(Stars, read_toml(path), source=path).stars
+    return load_data(Stars, "paper/star_sweep.toml").stars
 
 
 def runs(parameters: ParameterSet) -> Sequence[Run]:

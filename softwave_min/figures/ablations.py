@@ -15,9 +15,7 @@ from softwave_min.experiments.ablations import BASELINE, NMPC
 from softwave_min.experiments.closed_loop import TRANSIENT
 from softwave_min.figures.style import DASHES, GREY, INK, ORANGE, SERIES, SKY, Drawing
 from softwave_min.parameters import ParameterSet
-from softwave_min.store import Store
-
-__all__ = ["draw"]
+from softwave_min.runs.store import Store
 
 GROUPS = {
     "preview": "forecast: ",

@@ -13,13 +13,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from softwave_min.experiments.actuator_failure import ALL, PAPERS_CASE, choice
-from softwave_min.experiments.closed_loop import INTERVAL
 from softwave_min.experiments.setpoints import CASES
 from softwave_min.figures.style import BLUE, GREY, INK, ORANGE, SKY, Drawing
 from softwave_min.parameters import ParameterSet
-from softwave_min.store import Store
-
-__all__ = ["draw"]
+from softwave_min.runs.statistics import INTERVAL
+from softwave_min.runs.store import Store
 
 FAILURES = tuple(name for name, case in CASES.items() if case.segment)
 LOOK = {

@@ -16,11 +16,9 @@ from softwave_min.control.baseline import InnerLoop
 from softwave_min.control.nmpc import Problem
 from softwave_min.control.preview import Preview
 from softwave_min.figures.style import GREY, INK, Drawing
-from softwave_min.plant import Plant
 from softwave_min.simulation import ClosedLoop, Command, NmpcController
+from softwave_min.simulation.plant import Plant
 from softwave_min.waves import Sea
-
-__all__ = ["BOXES", "SIGNALS", "Box", "Signal", "block_diagram"]
 
 Point = tuple[float, float]
 

@@ -12,14 +12,13 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from softwave_min.experiments.closed_loop import INTERVAL, TRANSIENT
+from softwave_min.experiments.closed_loop import TRANSIENT
 from softwave_min.experiments.error_ratio import paper
-from softwave_min.experiments.paper import poses, wave_cases
 from softwave_min.figures.style import DASHES, GREY, INK, ORANGE, SERIES, Drawing
+from softwave_min.paper.cases import poses, wave_cases
 from softwave_min.parameters import ParameterSet
-from softwave_min.store import Store
-
-__all__ = ["draw"]
+from softwave_min.runs.statistics import INTERVAL
+from softwave_min.runs.store import Store
 
 Floats = NDArray[np.float64]
 

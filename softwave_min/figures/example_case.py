@@ -8,10 +8,10 @@ from matplotlib.axes import Axes
 
 from softwave_min.arm import Arm
 from softwave_min.control.nmpc import Status
+from softwave_min.experiments.closed_loop import TRANSIENT
 from softwave_min.experiments.example_case import (
     EXPERIMENT,
     SEAS,
-    TRANSIENT,
     ExampleRun,
     key_moments,
     sea_of,
@@ -19,11 +19,10 @@ from softwave_min.experiments.example_case import (
 from softwave_min.figures.headline import Side, headline
 from softwave_min.figures.style import BLUE, DASHES, GREY, INK, ORANGE, SERIES, Drawing
 from softwave_min.parameters import ParameterSet
+from softwave_min.runs.experiment import Run
+from softwave_min.runs.store import Store
 from softwave_min.simulation import ClosedLoop, Source
-from softwave_min.store import Run, Store
 from softwave_min.waves import Sea
-
-__all__ = ["draw", "mark_failures"]
 
 SEA_NAMES = {"jonswap": "JONSWAP sea W3", "measured": "measured sea, NDBC 41010"}
 

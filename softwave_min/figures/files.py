@@ -6,13 +6,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from softwave_min.parameters import ParameterSet
-from softwave_min.store import Store, write_atomically
-from softwave_min.sweep import file_digests
+from softwave_min.runs.store import Store, write_atomically
+from softwave_min.runs.sweep import file_digests
 
 if TYPE_CHECKING:
     from softwave_min.figures.style import Drawing
-
-__all__ = ["draw_files"]
 
 
 def draw_files(store: Store, parameters: ParameterSet, identity: str) -> None:

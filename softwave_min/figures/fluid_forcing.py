@@ -17,8 +17,6 @@ from softwave_min.arm.hydrodynamics import local_frame
 from softwave_min.figures.style import BLUE, GREY, INK, ORANGE, SKY, Drawing
 from softwave_min.waves import Sea
 
-__all__ = ["PointLoad", "fluid_forcing", "point_load"]
-
 Floats = NDArray[np.float64]
 
 BODY = ("#d9d9d9", "#bdbdbd", "#d9d9d9")

@@ -25,8 +25,6 @@ from softwave_min.figures.style import BLUE, GREY, INK, Drawing
 from softwave_min.simulation import ClosedLoop, root_mean_square_error
 from softwave_min.waves import Sea
 
-__all__ = ["Side", "headline"]
-
 Floats = NDArray[np.float64]
 
 WINDOW = (27.0, 49.0)

@@ -12,12 +12,10 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, FuncFormatter
 from numpy.typing import NDArray
 
-from softwave_min.experiments.open_points import TOLERANCE_POINTS, TOLERANCE_SHARE
 from softwave_min.figures.style import GREY, INK, ORANGE, SKY, Drawing
 from softwave_min.parameters import ParameterSet
-from softwave_min.store import Store
-
-__all__ = ["draw"]
+from softwave_min.runs.store import Store
+from softwave_min.studies.open_points import TOLERANCE_POINTS, TOLERANCE_SHARE
 
 APART = 5.0
 """Ratio of neighbouring ticks at least."""

@@ -9,9 +9,7 @@ from matplotlib.axes import Axes
 from softwave_min.experiments.actuator_failure import PAPERS_CASE
 from softwave_min.figures.style import INK, ORANGE, SKY, Drawing
 from softwave_min.parameters import ParameterSet
-from softwave_min.store import Store
-
-__all__ = ["draw"]
+from softwave_min.runs.store import Store
 
 
 def draw(store: Store, parameters: ParameterSet) -> dict[str, Drawing]:  # noqa: ARG001

@@ -9,9 +9,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from softwave_min.figures.style import INK, ORANGE, SKY
-from softwave_min.sensitivity import SEA, importance
-
-__all__ = ["by_kind", "factor_label", "number_label", "screening_matrix", "total_indices"]
+from softwave_min.studies.sensitivity import SEA, importance
 
 DARK = 0.6
 """Shade from which on the text in it is white."""

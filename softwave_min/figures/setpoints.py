@@ -16,13 +16,11 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from softwave_min.arm import Arm
-from softwave_min.experiments.paper import poses
 from softwave_min.experiments.setpoints import CASES, CELL, EXPERIMENT, REACHED
 from softwave_min.figures.style import BLUE, GREY, INK, ORANGE, SKY, Drawing
+from softwave_min.paper.cases import poses
 from softwave_min.parameters import ParameterSet
-from softwave_min.store import Store
-
-__all__ = ["draw", "outlines"]
+from softwave_min.runs.store import Store
 
 Floats = NDArray[np.float64]
 

@@ -11,9 +11,7 @@ from matplotlib.figure import Figure
 from softwave_min.experiments.spectra import EXPERIMENT, SeaRecord
 from softwave_min.figures.style import DASHES, SERIES, Drawing
 from softwave_min.parameters import ParameterSet
-from softwave_min.store import Store
-
-__all__ = ["draw"]
+from softwave_min.runs.store import Store
 
 CURVE_SHOWN_HZ = 0.4
 

@@ -17,9 +17,7 @@ from softwave_min.experiments.star import CONTROLLERS, EXPERIMENT, STILL, choice
 from softwave_min.experiments.star_path import star_vertices
 from softwave_min.figures.style import BLUE, DASHES, GREY, INK, ORANGE, SKY, Drawing
 from softwave_min.parameters import ParameterSet
-from softwave_min.store import Store
-
-__all__ = ["draw"]
+from softwave_min.runs.store import Store
 
 RunData = Mapping[str, NDArray[Any]]
 

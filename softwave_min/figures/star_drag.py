@@ -8,9 +8,7 @@ import pandas as pd
 from softwave_min.experiments.star_drag import LOADS
 from softwave_min.figures.style import INK, SKY, Drawing
 from softwave_min.parameters import ParameterSet
-from softwave_min.store import Store
-
-__all__ = ["draw"]
+from softwave_min.runs.store import Store
 
 WIDTH = 0.38
 

@@ -14,9 +14,7 @@ from softwave_min.experiments.star_path import StarParameters
 from softwave_min.experiments.star_sweep import TOLERANCE
 from softwave_min.figures.style import BLUE, INK, Drawing
 from softwave_min.parameters import ParameterSet
-from softwave_min.store import Store
-
-__all__ = ["draw"]
+from softwave_min.runs.store import Store
 
 SHOWN_MEASURES = {
     "rmse": ("o", "RMSE of the distance, whole run"),

@@ -18,8 +18,6 @@ from cycler import cycler
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-__all__ = ["BLUE", "DASHES", "GREY", "INK", "ORANGE", "SERIES", "SKY", "Drawing", "apply", "svg"]
-
 INK = "#222222"
 GREY = "#8a8a8a"
 BLUE = "#0072b2"

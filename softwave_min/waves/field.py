@@ -19,8 +19,6 @@ from softwave_min.parameters import SeaParameters
 from softwave_min.waves.dispersion import wave_number
 from softwave_min.waves.spectrum import Spectrum, jonswap_density
 
-__all__ = ["Sea"]
-
 Floats = NDArray[np.float64]
 
 _PER_COMPONENT = ("angular_frequency", "amplitude", "wave_number", "phase")

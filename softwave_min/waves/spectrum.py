@@ -10,8 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import quad
 
-__all__ = ["Spectrum", "jonswap_density", "periodogram"]
-
 WIDTH_BELOW_PEAK = 0.07
 WIDTH_ABOVE_PEAK = 0.09
 LOWEST_RATIO = 1e-2

@@ -1,0 +1,27 @@
+"""Numbers over random seas: medians with 90 % intervals, and rank correlations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+
+INTERVAL = (0.05, 0.5, 0.95)
+"""Quantiles over the random seas: a 90 % interval and its median."""
+
+
+def over_seas(values: ArrayLike) -> tuple[float, float, float]:
+    """5 % quantile, median and 95 % quantile of a number over the random seas."""
+    low, median, high = (float(one) for one in np.quantile(np.asarray(values, float), INTERVAL))
+    return low, median, high
+
+
+def interval(values: ArrayLike, name: str = "median", prefix: str = "") -> dict[str, float]:
+    """The median under ``name``, and the ends of its interval, as columns of a table."""
+    low, median, high = over_seas(values)
+    return {f"{prefix}low": low, name: median, f"{prefix}high": high}
+
+
+def rank_correlation(first: pd.Series, second: pd.Series) -> float:
+    """Spearman's coefficient, between -1 and 1; NaN where one of the two is constant."""
+    return float(first.rank().corr(second.rank()))

@@ -1,0 +1,248 @@
+"""Results on disk: written whole, with what they came from, and judged fresh or stale.
+
+``results/<experiment>/`` holds
+
+- ``<table>.csv`` and ``<figure>.svg``, committed;
+- ``provenance.json``, committed: what determined them, and on what they ran;
+- ``runs/<name>-<identity>.npz``, not committed: one file per run, so that an
+  interrupted experiment resumes and a fresh clone computes everything itself.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+import platform
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from hashlib import sha256
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from softwave_min.data import ROOT
+from softwave_min.runs.experiment import Arrays, Run
+from softwave_min.runs.identity import as_plain
+
+LIBRARIES = ("casadi", "cvxpy", "matplotlib", "numpy", "pandas", "scipy")
+SIGNIFICANT_DIGITS = 10
+UNFINISHED = ".writing-"
+"""Prefix of a file that is being written; what remains of it was never finished."""
+HOUR = 3600.0
+
+
+def results_folder() -> Path:
+    """Folder ``results/``; the environment variable SOFTWAVE_RESULTS names another."""
+    return Path(os.environ.get("SOFTWAVE_RESULTS", ROOT / "results")).resolve()
+
+
+@dataclass(frozen=True)
+class Store:
+    """The results of one experiment."""
+
+    experiment: str
+    root: Path = field(default_factory=results_folder)
+
+    @property
+    def folder(self) -> Path:
+        """``results/<experiment>``."""
+        return self.root / self.experiment
+
+    def run_path(self, run: Run) -> Path:
+        """File of one run."""
+        return self.folder / "runs" / f"{run.name}-{run.identity[:16]}.npz"
+
+    def has(self, run: Run) -> bool:
+        """Whether the run was computed as it is defined now, and its file is whole."""
+        return _whole(self.run_path(run)) is not None
+
+    def adopt(self, runs: Sequence[Run]) -> list[Run]:
+        """Copy what experiments beside this one have computed under names of their own.
+
+        Returns
+        -------
+        list of Run
+            Those that are still not here.
+        """
+        beside = {
+            path.stem.rpartition("-")[2]: path for path in sorted(self.root.glob("*/runs/*.npz"))
+        }
+        left = []
+        for run in runs:
+            path = self.run_path(run)
+            found = _whole(beside.get(path.stem.rpartition("-")[2], path))
+            if found and found.record.get("identity") == run.identity:
+                _write_run(path, found)
+            else:
+                left.append(run)
+        return left
+
+    def save_run(self, run: Run, arrays: Arrays, record: Mapping[str, Any]) -> None:
+        """Write a run's arrays; ``record`` is their provenance."""
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, allow_pickle=False, **arrays)
+        content = buffer.getvalue()
+        mark = {"content": sha256(content).hexdigest()}
+        _write_run(self.run_path(run), _RunFiles({**record, **mark}, content))
+
+    def tidy(self, runs: Iterable[Run]) -> None:
+        """Drop what former definitions of the runs, and writers that died, left behind."""
+        current = {run.name: self.run_path(run).stem for run in runs}
+        for path in self.folder.glob("runs/*"):
+            name = path.stem.rpartition("-")[0]
+            if current.get(name, path.stem) != path.stem:
+                path.unlink(missing_ok=True)
+        for path in self.folder.rglob(f"{UNFINISHED}*"):
+            with contextlib.suppress(FileNotFoundError):
+                if time.time() - path.stat().st_mtime > HOUR:  # no writer takes that long
+                    path.unlink()
+
+    def files(self) -> list[Path]:
+        """Tables, figures and provenance: all but the runs."""
+        if not self.folder.is_dir():
+            return []
+        found = (path for path in self.folder.iterdir() if path.is_file())
+        return sorted(path for path in found if not path.name.startswith(UNFINISHED))
+
+    def run_record(self, run: Run) -> dict[str, Any]:
+        """Provenance of a computed run."""
+        text = self.run_path(run).with_suffix(".json").read_text(encoding="utf-8")
+        record: dict[str, Any] = json.loads(text)
+        return record
+
+    def load_run(self, run: Run) -> dict[str, NDArray[Any]]:
+        """Read a run's arrays.
+
+        Raises
+        ------
+        FileNotFoundError
+            If the run was not computed, or not as it is defined now.
+        """
+        path = self.run_path(run)
+        if not self.has(run):
+            raise FileNotFoundError(
+                f"{self.experiment}/{run.name} is not computed or stale: run 'make results'"
+            )
+        with np.load(path) as archive:
+            return dict(archive)
+
+    def write_table(self, stem: str, table: pd.DataFrame) -> None:
+        """Write ``<stem>.csv``."""
+        write_atomically(self.folder / f"{stem}.csv", table_text(table).encode())
+
+    def read_table(self, stem: str) -> pd.DataFrame:
+        """Read ``<stem>.csv``."""
+        return read_table(self.folder / f"{stem}.csv")
+
+    def write_provenance(self, record: Mapping[str, Any]) -> None:
+        """Write ``provenance.json``."""
+        write_atomically(self.folder / "provenance.json", _json(record))
+
+    def provenance(self) -> dict[str, Any]:
+        """Read ``provenance.json``; empty where there is none."""
+        path = self.folder / "provenance.json"
+        if not path.is_file():
+            return {}
+        record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        return record
+
+
+def table_text(table: pd.DataFrame) -> str:
+    """CSV text of a table, floats to ten significant digits."""
+    digits = f"%.{SIGNIFICANT_DIGITS}g"
+    return str(table.to_csv(index=False, float_format=digits, lineterminator="\n"))
+
+
+def read_table(source: Path | io.StringIO) -> pd.DataFrame:
+    """Read a table that ``table_text`` wrote."""
+    return pd.read_csv(source)
+
+
+class _RunFiles(NamedTuple):
+    """The two files of a run."""
+
+    record: Mapping[str, Any]
+    content: bytes
+
+
+def _whole(path: Path) -> _RunFiles | None:
+    """Read the two files of a run; None unless both are there and belong together."""
+    try:
+        content = path.read_bytes()
+        record = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+        same = record["content"] == sha256(content).hexdigest()
+    except (OSError, ValueError, KeyError):
+        return None
+    return _RunFiles(record, content) if same else None
+
+
+def _write_run(path: Path, files: _RunFiles) -> None:
+    """Write the record first: arrays without it would count as computed."""
+    write_atomically(path.with_suffix(".json"), _json(files.record))
+    write_atomically(path, files.content)
+
+
+def _json(record: Mapping[str, Any]) -> bytes:
+    text = json.dumps(as_plain(dict(record)), indent=1, sort_keys=True, allow_nan=False)
+    return (text + "\n").encode()
+
+
+def write_atomically(path: Path, content: bytes) -> None:
+    """Write a file so that no reader ever sees a part of it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with _temporary_beside(path) as (handle, temporary):
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(content)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+
+
+@contextlib.contextmanager
+def _temporary_beside(path: Path) -> Iterator[tuple[int, str]]:
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=UNFINISHED)
+    try:
+        yield handle, temporary
+    finally:
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(temporary)
+
+
+@cache
+def repository_state() -> dict[str, Any]:
+    """Commit of the source, and whether all but results and notebooks was clean."""
+    try:
+        commit = _git("rev-parse", "HEAD")
+        changes = _git("status", "--porcelain", "--", ".", ":!results", ":!notebooks")
+    except (OSError, subprocess.CalledProcessError):
+        return {"commit": None, "clean": None}
+    return {"commit": commit, "clean": not changes}
+
+
+def _git(*arguments: str) -> str:
+    answer = subprocess.run(
+        ["git", "-C", str(ROOT), *arguments], capture_output=True, text=True, check=True
+    )
+    return answer.stdout.strip()
+
+
+@cache
+def machine() -> dict[str, Any]:
+    """Platform, processor count and versions that a result was computed with."""
+    return {
+        "platform": f"{platform.system()} {platform.machine()}",
+        "processors": os.cpu_count(),
+        "python": platform.python_version(),
+        "libraries": {name: version(name) for name in LIBRARIES},
+    }

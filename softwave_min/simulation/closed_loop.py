@@ -1,0 +1,137 @@
+"""Plant, sea and controller, joined into one closed-loop run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softwave_min.simulation.backends import plant_of
+from softwave_min.simulation.controllers import (
+    CONTROLLERS,
+    Command,
+    Compiled,
+    Controller,
+    History,
+)
+from softwave_min.simulation.scenario import Scenario
+
+Floats = NDArray[np.float64]
+
+
+class SimulationError(RuntimeError):
+    """A run cannot go on: a number is not finite."""
+
+
+@dataclass(frozen=True)
+class ClosedLoop:
+    """Record of one run; instants are the control instants, first and last included."""
+
+    time: Floats
+    """(T + 1,), in s."""
+    q: Floats
+    """(T + 1, n), in rad."""
+    qd: Floats
+    """(T + 1, n), in rad/s."""
+    q_bar: Floats
+    """(T, n), command in force from each instant but the last, in rad."""
+    tips: Floats
+    """(T + 1, n, 2), tips of the segments, in m."""
+    target: Floats
+    """(T + 1, 2), desired tip, in m."""
+    torque: Floats
+    """(T, n), actuation torque just after each command, in N m."""
+    wave_torque: Floats
+    """(T, n), generalised load of the water at those instants, in N m."""
+    status: NDArray[np.int64]
+    """(T,), status of each solve, -1 where there was none."""
+    iterations: NDArray[np.int64]
+    """(T,), iterations of each solve, 0 where there was none."""
+    source: NDArray[np.int64]
+    """(T,), where each command comes from, see ``Source``."""
+
+    @property
+    def error(self) -> Floats:
+        """Distance of the tip from its target, (T + 1,) in m."""
+        offset = self.tips[:, -1] - self.target
+        distance: Floats = np.hypot(offset[:, 0], offset[:, 1])
+        return distance
+
+
+def root_mean_square_error(error: Floats) -> float:
+    """RMSE of a series of distances, in m."""
+    return float(np.sqrt(np.mean(error**2)))
+
+
+def simulate(scenario: Scenario, controller: Controller | str) -> ClosedLoop:
+    """Run plant and controller over the scenario.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    controller : Controller or str
+        A controller of your own, or a name in ``CONTROLLERS``: by name the whole run is done
+        in the compiled engine where that can, with the same numbers.
+
+    Raises
+    ------
+    SimulationError
+        If a state or the sea is not finite, naming the time.
+    """
+    if not np.all(np.isfinite(scenario.flow)):
+        when = scenario.period * int(np.argmin(np.isfinite(scenario.flow).all(axis=1)))
+        raise SimulationError(f"the sea is not finite from t = {when:.1f} s")
+    if isinstance(controller, str):
+        controller = CONTROLLERS[controller](scenario)
+        history = controller.whole_run() if isinstance(controller, Compiled) else None
+        if history and np.all(np.isfinite(history.states)):
+            return _record(scenario, history)
+    return _record(scenario, _stepped(scenario, controller))
+
+
+def _stepped(scenario: Scenario, controller: Controller) -> History:
+    plant = plant_of(scenario)
+    states = np.tile(scenario.initial_state, (scenario.steps + 1, 1))
+    commands: list[Command] = []
+    for step in range(scenario.steps):
+        _require_finite(scenario, states, step)
+        commands.append(controller.command(step, states[step]))
+        states[step + 1] = plant.advance(states[step], commands[-1].q_bar, scenario.flow[step])
+    _require_finite(scenario, states, scenario.steps)
+    solutions = [command.solution for command in commands]
+    return History(
+        states,
+        q_bar=np.array([command.q_bar for command in commands]),
+        status=np.array([-1 if one is None else one.status for one in solutions]),
+        iterations=np.array([0 if one is None else one.iterations for one in solutions]),
+        source=np.array([int(command.source) for command in commands]),
+    )
+
+
+def _require_finite(scenario: Scenario, states: Floats, step: int) -> None:
+    if not np.all(np.isfinite(states[step])):
+        raise SimulationError(f"the state is not finite at t = {scenario.times[step]:.1f} s")
+
+
+def _record(scenario: Scenario, history: History) -> ClosedLoop:
+    arm, steps = scenario.arm, scenario.steps
+    q, qd = np.hsplit(history.states, 2)
+    q_bar = history.q_bar
+    proportional, derivative, actuated, _ = np.split(scenario.gains, 4)
+    feedforward = arm.stiffness_vector(q_bar) + arm.gravity_vector(q_bar)
+    feedback = proportional * (q_bar - q[:-1]) - derivative * qd[:-1]
+    flow = scenario.flow[:steps]
+    return ClosedLoop(
+        time=scenario.times,
+        q=q,
+        qd=qd,
+        q_bar=q_bar,
+        tips=arm.segment_tips(q),
+        target=scenario.targets[: steps + 1],
+        torque=actuated * (feedforward + feedback),
+        wave_torque=arm.fluid_load(q[:-1], qd[:-1], flow, time=-scenario.period / 2),
+        status=history.status,
+        iterations=history.iterations,
+        source=history.source,
+    )

@@ -1,0 +1,1 @@
+"""What judges many parameter sets: search, sensitivity, other readings of the paper."""

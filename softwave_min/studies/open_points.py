@@ -1,0 +1,377 @@
+"""The measured effect of every other reading of the paper on its headline numbers.
+
+Each switch of the register gives parameter sets that differ from the nominal one in that
+reading alone. Their headline numbers (`headlines`) are compared with the nominal ones in the
+same random seas with the same noise. A difference has to be seen beside two others: the scatter of
+the nominal numbers over seas, and the distance within which a claim of the paper counts as
+reproduced.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from softwave_min.data import ParameterError
+from softwave_min.experiments.closed_loop import prepare
+from softwave_min.paper.cases import wave_cases
+from softwave_min.paper.open_points import open_points
+from softwave_min.parameters import ParameterSet
+from softwave_min.runs.experiment import Experiment, Run, RunArrays, Tables, Tolerance
+from softwave_min.runs.statistics import over_seas
+from softwave_min.studies.bounded_solves import with_bounded_solves
+from softwave_min.studies.calibration import search_settings
+from softwave_min.studies.headlines import (
+    Cells,
+    HeadlineRun,
+    attempted_numbers,
+    headline_cells,
+    headline_numbers,
+)
+
+Floats = NDArray[np.float64]
+Numbers = Mapping[str, NDArray[Any]]
+
+OFFSETS = (0, 7)
+"""Seas in which a reading is measured, counted from the nominal seeds of phases and noise.
+They lie apart: a switch to the next seed must not meet the same seas again."""
+SCATTER_SEAS = 20
+"""Seas in which the nominal set is run to see what another sea does."""
+SLOW = ("nmpc.solver", "simulation.integrator")
+"""Fields whose other values find the same loops by a method that is up to several hundred times
+slower: they are measured in `BRIEF` and in the first sea."""
+BRIEF_CELLS = Cells((("P3", 3.0),), ("P3",), (3.0,), headline_cells().failed_segment)
+BRIEF = 1.5
+"""Duration of their loops, in s: it has the start, where the solvers work most."""
+REALISATIONS = "sea.realisations"
+"""Its reading is not another loop but the median over that many seas."""
+TOLERANCE_SHARE, TOLERANCE_POINTS = 0.15, 3.0
+"""Within this share of the paper's number, or so many points of per cent if that is more, a
+claim can count as reproduced."""
+GROUPS: Mapping[str, str] = {
+    "largest_reduction": "points",
+    "lowest_reduction": "points",
+    "rise": "points",
+    "star": "m",
+}
+"""Groups of headline numbers, each with a number per wave case, and the unit of a change."""
+FAILED = "solves_failed"
+MEASURED = "measured"
+"""Status of an alternative that could be run; else it says why not."""
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """One other value of one switch."""
+
+    point: str
+    field: str
+    place: int
+    """Among the switch's values."""
+    value: Any
+    parameters: ParameterSet | None
+    refusal: str = ""
+    """Why there are no parameters."""
+
+    @property
+    def name(self) -> str:
+        """Stem of the names of its runs."""
+        return f"{self.point}-{self.field.split('.')[1]}-{self.place + 1}"
+
+    @property
+    def written(self) -> str:
+        """The value as in a parameter file; text without quotation marks."""
+        return self.value if isinstance(self.value, str) else json.dumps(self.value)
+
+
+@dataclass(frozen=True)
+class _Effect:
+    """What came of an alternative."""
+
+    status: str
+    nominal: Sequence[Numbers] = ()
+    """In each sea."""
+    other: Sequence[Numbers] = ()
+    seconds: float = 0.0
+    """Duration of the loops."""
+
+    @property
+    def solves_failed(self) -> int:
+        """Most in one sea."""
+        return max((int(one[FAILED]) for one in self.other), default=0)
+
+
+def alternatives(parameters: ParameterSet) -> list[Alternative]:
+    """Every other value of every switch of the register, applied to the parameters."""
+    nominal = _one_sea(parameters)
+    found = []
+    for point in open_points():
+        for switch in point.switches:
+            for place, value in enumerate(switch.values):
+                try:
+                    other, refusal = switch.applied(place, nominal), ""
+                except ParameterError as error:
+                    other, refusal = None, str(error)
+                found.append(Alternative(point.id, switch.field, place, value, other, refusal))
+    return found
+
+
+def _one_sea(parameters: ParameterSet) -> ParameterSet:
+    return replace(parameters, sea=replace(parameters.sea, realisations=1))
+
+
+def group_of(number: str) -> str:
+    """Group that a headline number belongs to; empty if to none."""
+    stems = (number, *(number.removesuffix(f"_{case}") for case in wave_cases()))
+    return next((stem for stem in stems if stem in GROUPS), "")
+
+
+# --- runs -------------------------------------------------------------------------------
+
+
+def offsets(field: str) -> tuple[int, ...]:
+    """Seas in which a field is measured."""
+    return OFFSETS[:1] if field in SLOW else OFFSETS
+
+
+def loops(parameters: ParameterSet, field: str, offset: int) -> HeadlineRun:
+    """The closed loops by which a parameter set is judged in one sea."""
+    sea = replace(parameters.sea, seed=parameters.sea.seed + offset)
+    preview = replace(parameters.preview, seed=parameters.preview.seed + offset)
+    found = with_bounded_solves(replace(parameters, sea=sea, preview=preview))
+    if field in SLOW:
+        brief = replace(found.simulation, duration=min(BRIEF, found.simulation.duration))
+        return HeadlineRun(replace(found, simulation=brief), BRIEF_CELLS)
+    return HeadlineRun(found, headline_cells())
+
+
+def runs(parameters: ParameterSet) -> Sequence[Run]:
+    """The nominal set in all its seas and every alternative in its own; each once."""
+    return list(_distinct(parameters).values())
+
+
+def _distinct(parameters: ParameterSet) -> dict[HeadlineRun, Run]:
+    """The runs by what they compute."""
+    found: dict[HeadlineRun, Run] = {}
+    for run in _named(parameters):
+        found.setdefault(run.parameters, run)
+    return found
+
+
+def _named(parameters: ParameterSet) -> Iterator[Run]:
+    """Every run that some number needs.
+
+    What takes longest comes first. Then one sea follows the other, so that workers that share
+    the runs do not begin with the same structure of the model, and compile it twice.
+    """
+    nominal, others = _one_sea(parameters), alternatives(parameters)
+    yield Run("nominal-brief", headline_numbers, loops(nominal, SLOW[0], 0))
+    yield from _in_sea(0, [one for one in others if one.field in SLOW])
+    for offset in range(_scatter_seas(others)):
+        yield Run(f"nominal-{offset}", headline_numbers, loops(nominal, "", offset))
+    for offset in OFFSETS:
+        yield from _in_sea(offset, [one for one in others if one.field not in SLOW])
+
+
+def _in_sea(offset: int, others: Sequence[Alternative]) -> Iterator[Run]:
+    for one in others:
+        if one.parameters and one.field != REALISATIONS:
+            run = loops(one.parameters, one.field, offset)
+            yield Run(f"{one.name}-{offset}", attempted_numbers, run)
+
+
+def _scatter_seas(others: Sequence[Alternative]) -> int:
+    asked = (int(one.value) for one in others if one.field == REALISATIONS)
+    return max((SCATTER_SEAS, *asked))
+
+
+# --- tables -----------------------------------------------------------------------------
+
+
+def tabulate(parameters: ParameterSet, arrays: RunArrays) -> Tables:
+    """Tables ``effects``, ``points`` and ``scatter``."""
+    nominal, others = _one_sea(parameters), alternatives(parameters)
+    of = {run: arrays[one.name] for run, one in _distinct(parameters).items()}
+    scatter = _scatter_table(
+        [of[loops(nominal, "", offset)] for offset in range(_scatter_seas(others))]
+    )
+    found = [(one, _effect(one, nominal, of)) for one in others]
+    effects = _effect_table(found, list(scatter["number"]))
+    return {"effects": effects, "points": _point_table(effects, scatter), "scatter": scatter}
+
+
+def _scatter_table(found: Sequence[Numbers]) -> pd.DataFrame:
+    """What another sea does to each of the nominal numbers: their 90 % interval.
+
+    ``scatter`` is half of it; ``allowance`` is that or the tolerance of a claim, if larger.
+    """
+    papers = _papers()
+    rows = []
+    for number, values in _stacked(found).items():
+        low, median, high = over_seas(values)
+        group = group_of(number)
+        unit, paper = GROUPS.get(group, "points"), papers.get(number)
+        tolerance = TOLERANCE_SHARE * abs(paper or 0.0)
+        if unit == "points":
+            tolerance = max(tolerance, TOLERANCE_POINTS)
+        rows.append(
+            {
+                "number": number,
+                "group": group,
+                "unit": unit,
+                "paper": paper,
+                "seas": len(values),
+                "low": low,
+                "median": median,
+                "high": high,
+                "scatter": (high - low) / 2,
+                "allowance": max((high - low) / 2, tolerance),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def _stacked(found: Sequence[Numbers]) -> dict[str, Floats]:
+    """Numbers of several seas, (seas,) each."""
+    names = [name for name in found[0] if name != FAILED]
+    return {name: np.array([float(one[name]) for one in found]) for name in names}
+
+
+def _papers() -> dict[str, float]:
+    return {one.name: one.paper for one in search_settings().number if not one.at_most}
+
+
+def _effect(one: Alternative, nominal: ParameterSet, of: Mapping[HeadlineRun, Numbers]) -> _Effect:
+    if one.parameters is None:
+        return _Effect(f"cannot be set: {one.refusal}")
+    seas = offsets(one.field)
+    usual = [loops(nominal, one.field, offset) for offset in seas]
+    seconds = usual[0].parameters.simulation.duration
+    before = [of[run] for run in usual]
+    if one.field == REALISATIONS:
+        many = _stacked([of[loops(nominal, "", offset)] for offset in range(one.value)])
+        median: Numbers = {name: np.array(np.median(values)) for name, values in many.items()}
+        failed = {FAILED: np.array(max(int(run[FAILED]) for run in before))}
+        return _Effect(MEASURED, before, [{**median, **failed}] * len(seas), seconds)
+    after = [of[loops(one.parameters, one.field, offset)] for offset in seas]
+    reasons = [str(found["failure"]) for found in after if "failure" in found]
+    if reasons:
+        return _Effect(f"cannot run: {reasons[0]}")
+    return _Effect(MEASURED, before, after, seconds)
+
+
+def _effect_table(
+    found: Sequence[tuple[Alternative, _Effect]], numbers: Sequence[str]
+) -> pd.DataFrame:
+    """A row for each alternative and number.
+
+    ``nominal``, ``alternative`` and ``difference`` are means over the seas, ``low`` and
+    ``high`` the least and the largest difference in one of them.
+    """
+    papers = _papers()
+    rows = []
+    for one, effect in found:
+        before, after = (
+            _stacked(numbers) if numbers else {} for numbers in (effect.nominal, effect.other)
+        )
+        none = np.full(1, np.nan)
+        for number in numbers:
+            usual, other = before.get(number, none), after.get(number, none)
+            difference = other - usual
+            rows.append(
+                {
+                    "point": one.point,
+                    "field": one.field,
+                    "value": one.written,
+                    "number": number,
+                    "group": group_of(number),
+                    "status": effect.status,
+                    "seas": len(after and difference),
+                    "seconds": effect.seconds,
+                    "nominal": usual.mean(),
+                    "alternative": other.mean(),
+                    "difference": difference.mean(),
+                    "low": difference.min(),
+                    "high": difference.max(),
+                    "paper": papers.get(number),
+                    "solves_failed": effect.solves_failed,
+                }
+            )
+    return pd.DataFrame(rows)
+
+
+def _point_table(effects: pd.DataFrame, scatter: pd.DataFrame) -> pd.DataFrame:
+    """A row for each switch, with the largest change in each group of numbers.
+
+    Beside a change stand the value that makes it, whether it ``exceeds`` the scatter over seas,
+    and how many ``times`` the allowance it is; a switch ``matters`` if some change is more
+    than that.
+    """
+    usual = scatter.groupby("group")[["scatter", "allowance"]].max()
+    rows = []
+    for (point, field), own in effects.groupby(["point", "field"], sort=False):
+        measured = own[own["status"] == MEASURED]
+        other = own[own["status"] != MEASURED]["status"].unique()
+        row: dict[str, Any] = {
+            "point": point,
+            "field": field,
+            "values": own["value"].nunique(),
+            "status": other[0] if len(other) else MEASURED,
+            "seas": own["seas"].max(),
+            "seconds": own["seconds"].max(),
+        }
+        for group, band in usual.loc[list(GROUPS)].iterrows():
+            row |= _largest(str(group), measured[measured["group"] == group], band)
+        row["times"] = np.nanmax([0.0, *(row[f"{group}_times"] for group in GROUPS)])
+        row["exceeds"] = _yes(any(row[f"{group}_exceeds"] == "yes" for group in GROUPS))
+        row["matters"] = _yes(row["times"] > 1)
+        row["solves_failed"] = own["solves_failed"].max()
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def _largest(group: str, changes: pd.DataFrame, band: pd.Series[float]) -> dict[str, Any]:
+    """The largest change of a group's numbers."""
+    if changes.empty:
+        found: tuple[Any, ...] = (np.nan, "", "no", np.nan)
+    else:
+        largest = changes.iloc[int(changes["difference"].abs().to_numpy().argmax())]
+        change = float(largest["difference"])
+        exceeds = _yes(abs(change) > band["scatter"])
+        found = (change, largest["value"], exceeds, abs(change) / band["allowance"])
+    return dict(
+        zip((group, f"{group}_at", f"{group}_exceeds", f"{group}_times"), found, strict=True)
+    )
+
+
+def _yes(holds: bool) -> str:
+    return "yes" if holds else "no"
+
+
+SPREAD = ("median", "scatter", "allowance")
+
+EXPERIMENT = Experiment(
+    name="open_points",
+    title="What every other reading of the paper does to its headline numbers",
+    claims=(),
+    runs=runs,
+    tabulate=tabulate,
+    prepare=prepare,
+    tolerances={
+        # Differences of per cent that are themselves reproduced to 1e-4, hence points.
+        column: Tolerance(relative=1e-3, absolute=0.05)
+        for column in ("nominal", "alternative", "difference", "low", "high", *SPREAD, *GROUPS)
+    }
+    | {"star": Tolerance(relative=1e-3, absolute=1e-4)}
+    | {
+        name: Tolerance(relative=1e-2, absolute=0.05)
+        for name in ("times", *(f"{group}_times" for group in GROUPS))
+    },
+    on_request=True,
+)

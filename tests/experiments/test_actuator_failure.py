@@ -1,0 +1,299 @@
+"""The experiment `actuator_failure`: its grid, its tables, one real place."""
+
+import math
+from dataclasses import replace
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+import pytest
+
+from softwave_min.experiments.actuator_failure import (
+    ALL,
+    EXPERIMENT,
+    PAPERS_CASE,
+    choice,
+    grid_table,
+    headline,
+    motion,
+    places,
+    spread,
+    statements,
+)
+from softwave_min.experiments.closed_loop import closed_loops
+from softwave_min.experiments.setpoints import CASES
+from softwave_min.figures.actuator_failure import draw
+from softwave_min.figures.style import apply, svg
+from softwave_min.runs.store import Store
+
+STEPS = 300
+RISES = {"mid_passive": 25.0, "tip_passive": 40.0, "mid_locked": 10.0, "tip_locked": -5.0}
+
+
+def synthetic_run(place, case):
+    """Constant errors: the intact arm's grow with the height, the failed arm's by its rise."""
+    intact = 0.1 * place.height
+    error = intact * (1 + RISES.get(case, 0.0) / 100)
+    time = 0.1 * np.arange(STEPS + 1)
+    q = np.zeros((STEPS + 1, 3))
+    q[:, 1] = 0.3 * np.sin(2 * np.pi * 0.05 * time) + 0.04 * np.sin(2 * np.pi * time)
+    q[:, 2] = q[:, 1] / 10
+    data = {
+        "nmpc_error": np.full(STEPS + 1, error),
+        "nmpc_q": q,
+        "nmpc_status": np.zeros(STEPS, dtype=int),
+        "nmpc_source": np.zeros(STEPS, dtype=int),
+    }
+    if case == "intact":
+        data["baseline_error"] = np.full(STEPS + 1, 3 * intact)
+    return data
+
+
+def synthetic(parameters):
+    return {
+        place.run(case).name: synthetic_run(place, case)
+        for place in places(parameters)
+        for case in CASES
+    }
+
+
+@pytest.fixture(scope="module")
+def tables(nominal):
+    return EXPERIMENT.tabulate(nominal, synthetic(nominal))
+
+
+@pytest.fixture
+def grid(tables):
+    return tables["actuator_failure"].copy()
+
+
+def test_the_grid_is_the_papers_with_every_case(nominal, tables):
+    cells = tables["actuator_failure"]
+    assert set(zip(cells["wave"], cells["pose"], strict=True)) == {
+        (wave, pose) for wave in ("W1", "W2", "W3") for pose in ("P3", "P6")
+    }
+    assert sorted(cells["Hs"].unique()) == [1.5, 2.0, 2.5, 3.0]
+    assert len(cells) == 24 * len(CASES) == len(EXPERIMENT.runs(nominal))
+    assert len({run.name for run in EXPERIMENT.runs(nominal)}) == len(cells)
+
+
+def test_each_run_has_its_sea_and_its_failure(nominal):
+    two = replace(nominal, sea=replace(nominal.sea, realisations=2))
+    for place in places(two):
+        for case, state in CASES.items():
+            run = place.run(case).parameters
+            assert run.parameters.sea.significant_height == place.height
+            assert run.parameters.sea.seed == place.seed
+            assert run.parameters.failure.segment == state.segment
+            assert run.parameters.failure.manner == state.manner
+            assert ("baseline" in run.controllers) == (case == "intact")
+    assert {place.seed for place in places(two)} == {nominal.sea.seed, nominal.sea.seed + 1}
+
+
+def test_cases_share_their_sea_and_noise(nominal):
+    place = next(places(nominal))
+    runs = [place.run(case).parameters for case in CASES]
+    assert len({(run.parameters.sea, run.parameters.preview) for run in runs}) == 1
+
+
+def test_a_part_of_the_cases_makes_a_part_of_the_tables(nominal, grid):
+    two = ("intact", PAPERS_CASE)
+    arrays = {
+        name: {key: one[key] for key in one if key != "nmpc_q"}
+        for name, one in synthetic(nominal).items()
+        if name.split("-")[3] in two
+    }
+    part = grid_table(nominal, arrays, two)
+    whole = grid[grid["case"].isin(two)].reset_index(drop=True)
+    pd.testing.assert_frame_equal(part, whole)
+    for table in (headline, spread, statements):
+        expected = table(grid).query("case == @PAPERS_CASE").reset_index(drop=True)
+        pd.testing.assert_frame_equal(table(part), expected)
+
+
+def test_rises_are_over_the_intact_arm_in_the_same_sea(grid):
+    for case, rise in RISES.items():
+        np.testing.assert_allclose(grid[grid["case"] == case]["rise_percent"], rise)
+    assert (grid[grid["case"] == "intact"]["rise_percent"] == 0).all()
+    np.testing.assert_allclose(grid["e_pd_intact"], 0.3 * grid["Hs"])
+
+
+def test_the_settled_window_leaves_the_start_out(nominal):
+    arrays = synthetic(nominal)
+    place = next(places(nominal))
+    arrays[place.run(PAPERS_CASE).name]["nmpc_error"][:100] = 9.0
+    table = EXPERIMENT.tabulate(nominal, arrays)["actuator_failure"]
+    row = table[table["case"] == PAPERS_CASE].iloc[0]
+    assert row["rise_percent"] > 1000
+    assert row["rise_percent_settled"] == pytest.approx(25)
+
+
+def test_mean_and_maximum_are_read_per_spectrum_and_over_all(grid):
+    papers = grid["case"] == PAPERS_CASE
+    grid.loc[papers & (grid["wave"] == "W1") & (grid["Hs"] == 2.0), "rise_percent"] = 65.0
+    rises = headline(grid).query("case == @PAPERS_CASE and window == 'whole'")
+    rises = rises.set_index(["wave", "reading"])["rise"]
+    assert rises["W1", "mean"] == pytest.approx(25 + 40 / 4)
+    assert rises["W1", "maximum"] == 65
+    assert rises[ALL, "mean"] == pytest.approx(25 + 40 / 12)
+    assert rises[ALL, "maximum"] == 65
+    assert rises["W3", "maximum"] == pytest.approx(25)
+
+
+def test_the_papers_numbers_stand_where_they_belong(tables):
+    rises = tables["rises"].dropna(subset="paper")
+    assert set(rises["case"]) == {PAPERS_CASE}
+    by_wave = rises.drop_duplicates("wave").set_index("wave")["paper"]
+    assert dict(by_wave) == {"W3": 23.17, ALL: 25.61}
+
+
+def test_the_interval_is_over_seas(grid):
+    seas = []
+    for seed in range(21):
+        one = grid.copy()
+        one["seed"] = seed
+        one["rise_percent"] = one["rise_percent"] + seed
+        seas.append(one)
+    rises = headline(pd.concat(seas, ignore_index=True))
+    row = rises.query("case == @PAPERS_CASE and window == 'whole' and wave == 'all'").iloc[0]
+    assert row["rise"] == pytest.approx(25 + 10)
+    assert row["low"] == pytest.approx(25 + 1)
+    assert row["high"] == pytest.approx(25 + 19)
+
+
+def test_the_spread_between_spectra_in_points_and_relative(grid):
+    papers = grid["case"] == PAPERS_CASE
+    for wave, rise in (("W1", 30.0), ("W2", 26.0), ("W3", 24.0)):
+        grid.loc[papers & (grid["wave"] == wave), "rise_percent"] = rise
+    found = spread(grid).query("case == @PAPERS_CASE and window == 'whole'")
+    assert set(found["reading"]) == {"mean", "maximum"}
+    for row in found.itertuples():
+        assert row.points == pytest.approx(6)
+        assert row.relative == pytest.approx(25)
+        assert row.lowest == "W3" == row.paper_lowest
+        assert row.paper == choice().largest_spread
+
+
+def test_single_cells_are_counted(grid):
+    papers = grid["case"] == PAPERS_CASE
+    grid.loc[papers & (grid["Hs"] == 3.0), "rise_percent"] = -1.0
+    grid.loc[papers & (grid["Hs"] == 1.5) & (grid["wave"] == "W2"), "rise_percent"] = -1.0
+    grid.loc[papers & (grid["Hs"] == 2.0), "e_mpc"] = 1.0
+    found = statements(grid).set_index(["case", "window"]).loc[(PAPERS_CASE, "whole")]
+    assert (found["cells"], found["better"], found["better_at_largest"]) == (24, 8, 6)
+    assert found["below_baseline"] == 24 - 6
+    assert found["largest_ratio"] == pytest.approx(1 / 0.6)
+
+
+def test_failed_solves_and_fallbacks_are_counted_where_they_occur(nominal, tmp_path):
+    arrays = synthetic(nominal)
+    place = list(places(nominal))[7]
+    arrays[place.run("tip_locked").name]["nmpc_status"][3:6] = 2
+    arrays[place.run("tip_locked").name]["nmpc_source"][3:5] = 1
+    found = EXPERIMENT.tabulate(nominal, arrays)
+    table = found["actuator_failure"]
+    touched = table[table["solves_failed"] > 0].iloc[0]
+    assert (touched["case"], touched["Hs"]) == ("tip_locked", place.height)
+    assert (touched["solves_failed"], touched["fallbacks"]) == (3, 2)
+    assert table["solves_failed"].sum() == 3
+    assert found["statements"]["fallbacks"].sum() == 2 * 2  # once for each window
+    drawings = drawn(nominal, found, tmp_path)
+    assert "without convergence: 3; fallbacks: 2. A star" in drawings["all_cases"].caption
+    assert "without convergence: 0; fallbacks: 0." in drawings["actuator_failure"].caption
+    stars = [
+        len(line.get_xdata())
+        for axes in drawings["all_cases"].figure.axes
+        for line in axes.lines
+        if line.get_marker() == "*"
+    ]
+    assert sum(stars) == 1
+
+
+def drawn(parameters, tables, folder):
+    store = Store("actuator_failure", folder)
+    for stem, table in tables.items():
+        store.write_table(stem, table)
+    apply()
+    plt.close("all")
+    return draw(store, parameters)
+
+
+def test_the_motion_is_split_at_the_frequency():
+    period = 0.1
+    time = period * np.arange(500)
+    slow, fast = (a * np.cos(2 * np.pi * f * time + 0.3) for a, f in ((0.4, 0.08), (0.1, 0.5)))
+    below, above = motion(1.7 + slow + fast, period, 0.1)
+    assert below == pytest.approx(0.4 / math.sqrt(2), rel=1e-9)
+    assert above == pytest.approx(0.1 / math.sqrt(2), rel=1e-9)
+
+
+@pytest.mark.parametrize("count", [400, 401])
+def test_the_parts_of_the_motion_make_its_variance(count):
+    angle = np.random.default_rng(3).normal(size=count)
+    below, above = motion(angle, 0.1, 1.3)
+    assert below**2 + above**2 == pytest.approx(np.var(angle), rel=1e-12)
+
+
+def test_the_motion_of_passive_and_actuated_joints_is_compared(tables):
+    joints = tables["passive_motion"]
+    assert set(joints["case"]) == {"intact", "mid_passive", "tip_passive"}
+    mid = joints[joints["segment"] == 2]
+    assert mid["rms_below"].iloc[0] > 5 * mid["rms_above"].iloc[0] > 0
+    tip = joints[joints["segment"] == 3]
+    np.testing.assert_allclose(10 * tip["rms_below"], mid["rms_below"])
+    assert set(joints["peak_frequency_hz"].round(6)) == {round(1 / t, 6) for t in (6.1, 8, 10)}
+
+
+def test_excitation_is_the_mean_motion_beside_the_mean_rise(tables):
+    found = tables["excitation"].set_index(["case", "wave"])
+    assert len(found) == 2 * 3
+    np.testing.assert_allclose(found["above_to_actuated"], 1)  # the same motion in every run
+    joints = tables["passive_motion"].set_index(["case", "wave"]).sort_index()
+    for (case, wave), row in found.iterrows():
+        assert row["rms_above"] == pytest.approx(joints.loc[(case, wave), "rms_above"].mean())
+        assert row["rise_percent"] == pytest.approx(RISES[case])
+
+
+def test_the_largest_wave_against_the_arm(nominal, tables):
+    size = tables["wave_size"].set_index("wave")
+    np.testing.assert_allclose(size["height_over_body"], 3.0 / 0.9)
+    deep = nominal.fluid.gravity * 6.1**2 / (2 * math.pi)
+    assert size.loc["W1", "wavelength"] == pytest.approx(deep, rel=0.05)
+    assert size["wavelength"].is_monotonic_increasing
+
+
+def test_figures_have_the_papers_panels(nominal, tables, tmp_path):
+    drawings = drawn(nominal, tables, tmp_path)
+    panels = drawings["actuator_failure"].figure.axes
+    titles = [axes.get_title(loc="left") for axes in panels]
+    assert titles == [
+        f"({letter}) {wave}, {pose}"
+        for letter, (wave, pose) in zip(
+            "abcdef", [(w, p) for w in ("W1", "W2", "W3") for p in ("P3", "P6")], strict=True
+        )
+    ]
+    cells = tables["actuator_failure"].set_index(["wave", "pose", "Hs", "case"])["e_mpc"]
+    heights = [bar.get_height() for bar in panels[2].patches]
+    np.testing.assert_allclose(
+        heights,
+        [
+            cells["W2", "P3", hs, case]
+            for case in ("intact", PAPERS_CASE)
+            for hs in (1.5, 2, 2.5, 3)
+        ],
+    )
+    assert svg(drawings["rises"]) == svg(drawn(nominal, tables, tmp_path)["rises"])
+
+
+def test_a_real_place(nominal):
+    """Over the first seconds: a locked angle stays, a passive one moves, all is finite."""
+    short = replace(nominal, simulation=replace(nominal.simulation, duration=3.0))
+    place = next(places(short))
+    loops = {case: closed_loops(place.run(case).parameters) for case in CASES}
+    assert "baseline_error" in loops["intact"]
+    assert np.abs(loops["mid_locked"]["nmpc_q"][:, 1]).max() == 0
+    assert np.abs(loops["tip_locked"]["nmpc_q"][:, 2]).max() == 0
+    assert np.abs(loops["mid_passive"]["nmpc_q"][:, 1]).max() > 1e-2
+    for loop in loops.values():
+        assert np.isfinite(loop["nmpc_q"]).all()
+        assert loop["nmpc_error"][-1] < 0.8 * loop["nmpc_error"][0]

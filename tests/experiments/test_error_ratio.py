@@ -1,0 +1,464 @@
+"""The experiment `error_ratio`: its grid, its tables, its figures, and one cell for real."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from softwave_min.arm import Arm
+from softwave_min.data import data_folder
+from softwave_min.experiments.closed_loop import LoopRun, closed_loops
+from softwave_min.experiments.error_ratio import (
+    EXPERIMENT,
+    HeldArm,
+    cell_table,
+    cells,
+    curvature_correlations,
+    depth_pairs,
+    extremes,
+    headline,
+    held_loads,
+    period_spread,
+    torque_table,
+    trends,
+)
+from softwave_min.figures.error_ratio import draw
+from softwave_min.figures.style import apply, svg
+from softwave_min.paper.cases import poses, wave_cases
+from softwave_min.parameters import load_parameters
+from softwave_min.runs.store import Store
+from softwave_min.simulation import BaselineController, NmpcController, Scenario, simulate
+from softwave_min.waves import Sea
+
+STEPS = 120
+START = 100
+"""Steps of the start-up, 10 s of 0.1 s."""
+
+
+@pytest.fixture(scope="module")
+def parameters():
+    whole = load_parameters(data_folder() / "parameters" / "calibrated.toml")
+    return replace(whole, simulation=replace(whole.simulation, duration=0.1 * STEPS))
+
+
+def seas(parameters, count):
+    return replace(parameters, sea=replace(parameters.sea, realisations=count))
+
+
+def loop_arrays(early=0.4, late=0.1, angle=0.3, torque=1.0):
+    """A run of both controllers with constant errors; the NMPC's are half the baseline's."""
+    error = np.where(np.arange(STEPS + 1) < START, early, late)
+    found = {}
+    for controller, factor in (("nmpc", 0.5), ("baseline", 1.0)):
+        found |= {
+            f"{controller}_error": factor * error,
+            f"{controller}_q": np.full((STEPS + 1, 3), angle),
+            f"{controller}_wave_torque": np.full((STEPS, 3), torque),
+            f"{controller}_status": np.full(STEPS, 0 if controller == "nmpc" else -1),
+            f"{controller}_source": np.zeros(STEPS, int),
+        }
+    return found
+
+
+def held_arrays(run):
+    places = len(run.parameters.targets), len(run.parameters.rises)
+    return {
+        "angles": np.full((places[0], 3), -0.3),
+        "torque": np.ones((*places, 3)),
+        "torque_uniform": np.ones((places[0], 3)),
+        "speed": np.ones(places[1]),
+    }
+
+
+def all_arrays(parameters):
+    return {
+        run.name: loop_arrays() if isinstance(run.parameters, LoopRun) else held_arrays(run)
+        for run in EXPERIMENT.runs(parameters)
+    }
+
+
+# --- the grid ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_the_table_has_every_cell_of_the_paper_once(parameters, count):
+    asked = seas(parameters, count)
+    table = EXPERIMENT.tabulate(asked, all_arrays(asked))["error_ratio"]
+    places = table[["wave", "pose", "Hs", "seed"]]
+    assert len(places) == len(places.drop_duplicates()) == 108 * count
+    heights = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
+    grid = pd.MultiIndex.from_product([["W1", "W2", "W3"], [f"P{i}" for i in range(1, 7)], heights])
+    assert set(map(tuple, places[["wave", "pose", "Hs"]].to_numpy())) == set(grid)
+    assert list(table.columns[:8]) == [
+        "wave", "pose", "Hs", "seed", "e_mpc", "e_pd", "ratio", "solves_failed",
+    ]  # fmt: skip
+
+
+def test_names_are_unique_and_a_cell_is_in_its_sea_and_at_its_pose(parameters):
+    names = [run.name for run in EXPERIMENT.runs(seas(parameters, 2))]
+    assert len(set(names)) == len(names)
+    for cell in cells(parameters):
+        sea = cell.loop.parameters.sea
+        assert sea.peak_period == wave_cases()[cell.wave].peak_period
+        assert cell.loop.path == (poses()[cell.pose],)
+        assert cell.loop.controllers == ("baseline", "nmpc")
+
+
+def test_seas_differ_in_their_phases_and_in_the_controllers_noise(parameters):
+    first, second = cells(seas(parameters, 2))[:2]
+    assert (first.wave, first.pose) == (second.wave, second.pose)
+    a, b = first.loop.parameters, second.loop.parameters
+    assert a.sea.significant_height == b.sea.significant_height
+    assert a.sea.seed != b.sea.seed
+    assert a.preview.seed != b.preview.seed
+
+
+def test_a_sweep_that_lacks_only_the_held_arm_can_go_on(parameters):
+    last = EXPERIMENT.runs(parameters)[-1]
+    assert isinstance(last.parameters, HeldArm)
+    EXPERIMENT.prepare(last)
+
+
+# --- the tables -------------------------------------------------------------------------
+
+
+def test_errors_are_whole_and_settled(parameters):
+    row = cell_table(parameters, all_arrays(parameters)).iloc[0]
+    whole = np.sqrt((START * 0.4**2 + (STEPS + 1 - START) * 0.1**2) / (STEPS + 1))
+    assert row.e_pd == pytest.approx(whole)
+    assert row.e_mpc == pytest.approx(whole / 2)
+    assert row.ratio == row.ratio_settled == pytest.approx(0.5)
+    assert row.e_pd_settled == pytest.approx(0.1)
+    assert row.solves_failed == row.fallbacks == 0
+
+
+def test_failed_solves_and_fallbacks_are_counted(parameters):
+    arrays = all_arrays(parameters)
+    arrays["W2-P4-150cm-1"]["nmpc_status"][[3, 7, 50]] = [1, 3, 2]
+    arrays["W2-P4-150cm-1"]["nmpc_source"][7] = 1
+    table = cell_table(parameters, arrays)
+    failed = table[table.solves_failed > 0]
+    assert failed[["wave", "pose", "Hs"]].to_numpy().tolist() == [["W2", "P4", 1.5]]
+    assert failed.solves_failed.item() == 3
+    assert table.fallbacks.sum() == failed.fallbacks.item() == 1
+
+
+def grid_table(ratio, count=1):
+    """A table of the whole grid; ``ratio`` is a function of wave, pose, height and seed."""
+    return pd.DataFrame(
+        [
+            {
+                "wave": wave, "pose": pose, "Hs": height, "seed": seed,
+                "e_mpc": 0.1 * ratio(wave, pose, height, seed), "e_pd": 0.1,
+                "ratio": ratio(wave, pose, height, seed), "solves_failed": 0, "fallbacks": 0,
+                "ratio_settled": 0.5 * ratio(wave, pose, height, seed),
+            }
+            for wave, case in wave_cases().items()
+            for pose in poses()
+            for height in case.significant_height
+            for seed in range(1, count + 1)
+        ]
+    )  # fmt: skip
+
+
+def falling(wave, pose, height, seed):
+    """Smaller in higher waves and far from the base; 0.01 more for every seed."""
+    lever = {"1": 0.0, "2": 0.1, "3": 0.15, "4": -0.05, "5": 0.05, "6": 0.1}[pose[1]]
+    return 0.9 - lever * height - 0.02 * int(wave[1]) + 0.01 * (seed - 1)
+
+
+def test_extremes_name_the_cell_and_the_papers_value():
+    found = extremes(grid_table(falling)).set_index(["wave", "extreme"])
+    best, worst = found.loc[("W2", "largest")], found.loc[("W2", "smallest")]
+    assert (best.pose, best.Hs) == ("P3", 3.0)
+    assert best.reduction == pytest.approx(100 * (1 - (0.9 - 0.45 - 0.04)))
+    assert (worst.pose, worst.Hs) == ("P4", 3.0)
+    assert worst.reduction == pytest.approx(100 * (1 - (0.9 + 0.15 - 0.04)))
+    assert best.paper == 81.60
+    assert worst.paper == 2.82
+    assert best.difference == pytest.approx(best.reduction - 81.60)
+
+
+def test_an_extreme_cell_with_failed_solves_says_so():
+    table = grid_table(falling)
+    table.loc[(table.wave == "W1") & (table.pose == "P3") & (table.Hs == 3.0), "solves_failed"] = 2
+    found = extremes(table).set_index(["wave", "extreme"])
+    assert found.failed["W1", "largest"] == 2
+    assert found.failed["W1", "smallest"] == found.failed["W3", "largest"] == 0
+
+
+def test_the_headline_is_the_interval_over_the_seas():
+    count = 21
+    found = headline(grid_table(falling, count)).set_index(["wave", "quantity"])
+    best = found.loc[("W3", "largest")]
+    assert best.seeds == count
+    assert best["median"] == pytest.approx(100 * (1 - (0.9 - 0.45 - 0.06)) - 10)
+    assert best.high - best.low == pytest.approx(18)  # 90 % of 20 steps of one per cent
+    everything = found.loc["all"]
+    assert everything["median"]["largest"] == pytest.approx(best["median"])
+    assert everything.paper["largest"] == 83.78
+    assert everything.paper["smallest"] == 2.82
+    assert everything.paper["below_one"] == 100
+
+
+def test_cells_below_one_are_a_share_of_the_grid():
+    found = headline(grid_table(lambda _, pose, *__: 1.0 if pose == "P4" else 0.5))
+    share = found.set_index(["wave", "quantity"])["median"]
+    assert share["all", "below_one"] == pytest.approx(100 * 5 / 6)
+    assert share["W1", "smallest"] == 0
+
+
+def test_headline_of_another_ratio():
+    found = headline(grid_table(falling), "ratio_settled").set_index(["wave", "quantity"])
+    assert found["median"]["W1", "largest"] == pytest.approx(100 * (1 - 0.5 * (0.9 - 0.45 - 0.02)))
+
+
+def test_trends_tell_falling_from_rising():
+    found = trends(grid_table(falling)).set_index(["wave", "pose"])
+    assert found.correlation["W1", "P3"] == pytest.approx(-1)
+    assert found.correlation["W3", "P4"] == pytest.approx(1)
+    assert len(found) == 18
+
+
+def test_the_spread_over_the_periods_is_that_of_the_waves():
+    table = grid_table(lambda wave, pose, height, _: 0.5 + 0.1 * height * (wave + pose == "W3P1"))
+    found = period_spread(table, (0.0, -4.0)).set_index("pose")
+    assert found.spread["P1"] == pytest.approx(0.1 * np.mean([0.5, 1, 1.5, 2, 2.5, 3]))
+    assert found.spread_largest["P1"] == pytest.approx(0.3)
+    assert found.spread_settled["P1"] == pytest.approx(found.spread["P1"] / 2)
+    assert found.spread.drop("P1").abs().max() == pytest.approx(0)
+    nearest = found.distance.nsmallest(2).index
+    assert set(nearest) == {"P1", "P4"}
+
+
+def test_torques_are_of_the_settled_arm(parameters):
+    arrays = all_arrays(parameters)
+    one = arrays["W1-P1-050cm-1"]
+    one["nmpc_q"][START:] = [-0.9, 0.6, 0.3]
+    one["nmpc_q"][:START] = 7.0
+    one["nmpc_wave_torque"][START:] = [3.0, -2.0, 6.0]
+    one["nmpc_wave_torque"][:START] = 99.0
+    found = torque_table(parameters, arrays).set_index(["wave", "pose", "Hs", "controller"])
+    row = found.loc[("W1", "P1", 0.5, "nmpc")]
+    assert row.curvature == pytest.approx(1.8 / sum(parameters.arm.length))
+    assert row.torque == pytest.approx(7.0)
+    assert row[["torque_1", "torque_2", "torque_3"]].tolist() == pytest.approx([3, 2, 6])
+    assert found.loc[("W1", "P1", 0.5, "baseline")].torque == pytest.approx(np.sqrt(3))
+
+
+def torques_of(table, torque, curvature):
+    place = table[["wave", "pose", "Hs", "seed"]]
+    return pd.concat(
+        place.assign(
+            controller=controller,
+            curvature=[curvature(pose) for pose in place.pose],
+            torque=[torque(pose) for pose in place.pose],
+        )
+        for controller in ("baseline", "nmpc")
+    )
+
+
+def test_curvature_torque_and_reduction_are_ranked_over_the_poses():
+    number = {pose: float(pose[1]) for pose in poses()}
+    table = grid_table(lambda _, pose, *__: 1 - 0.1 * number[pose])
+    torques = torques_of(table, torque=number.get, curvature=lambda pose: 7 - number[pose])
+    found = curvature_correlations(torques, table)
+    assert len(found) == 3 * 6 * 2
+    np.testing.assert_allclose(found.curvature_torque, -1)
+    np.testing.assert_allclose(found.torque_reduction, 1)
+
+
+def test_pairs_are_one_above_the_other():
+    table = grid_table(lambda _, pose, *__: 0.5 if pose in {"P1", "P2", "P3"} else 0.7)
+    torques = torques_of(table, lambda pose: 3.0 if pose < "P4" else 2.0, lambda _: 1.0)
+    found = depth_pairs(torques, table)
+    assert set(zip(found.upper, found.lower, strict=True)) == {
+        ("P1", "P4"),
+        ("P2", "P5"),
+        ("P3", "P6"),
+    }
+    assert len(found) == 3 * 18
+    np.testing.assert_allclose(found.ratio_difference, 0.2)
+    np.testing.assert_allclose(found.torque_quotient, 1.5)
+
+
+# --- the arm held still -----------------------------------------------------------------
+
+RISES = (0.6, 0.0, -2.4)
+
+
+def held(parameters, **sea):
+    changed = replace(parameters, sea=replace(parameters.sea, **sea))
+    return held_loads(HeldArm(changed, tuple(poses().values()), RISES))
+
+
+@pytest.fixture(scope="module")
+def held_in_w3(parameters):
+    return held(parameters, peak_period=10.0, significant_height=2.0)
+
+
+def test_the_held_arm_is_at_the_pose(parameters, held_in_w3):
+    tips = Arm(parameters.arm, parameters.fluid).tip(held_in_w3["angles"])
+    # 12 s of planning at K_e = 2 /s, damped near the straight arm
+    np.testing.assert_allclose(tips, list(poses().values()), atol=1e-3)
+
+
+def test_drag_grows_with_the_square_of_the_height(parameters, held_in_w3):
+    assert parameters.fluid.morison == "paper"  # no load but drag on an arm held still
+    half = held(parameters, peak_period=10.0, significant_height=1.0)
+    np.testing.assert_allclose(held_in_w3["torque"], 4 * half["torque"], rtol=1e-9)
+    np.testing.assert_allclose(held_in_w3["speed"], 2 * half["speed"], rtol=1e-9)
+
+
+def test_loads_fall_with_depth_as_the_water_slows(held_in_w3):
+    torque = np.linalg.norm(held_in_w3["torque"], axis=2)
+    assert np.all(np.diff(torque, axis=1) < 0)
+    relative, speed = torque / torque[:, 1:2], held_in_w3["speed"] / held_in_w3["speed"][1]
+    np.testing.assert_allclose(relative, np.tile(speed**2, (len(torque), 1)), rtol=0.08)
+
+
+def test_speed_is_that_of_linear_theory_at_the_base(parameters, held_in_w3):
+    sea = replace(parameters.sea, peak_period=10.0, significant_height=2.0)
+    times = np.arange(0, parameters.simulation.duration, 0.4)
+    u, w = Sea.random(sea, parameters.fluid.gravity).velocity(0.0, -6.4, times)
+    assert held_in_w3["speed"][2] == pytest.approx(np.sqrt(np.mean(u**2 + w**2)), rel=1e-9)
+
+
+def test_a_wave_much_longer_than_the_arm_is_uniform_about_it(parameters, held_in_w3):
+    tide = held(
+        parameters, peak_period=900.0, lowest_frequency_hz=0.001, highest_frequency_hz=0.0013
+    )
+    np.testing.assert_allclose(
+        np.linalg.norm(tide["torque_uniform"], axis=1),
+        np.linalg.norm(tide["torque"][:, 1], axis=1),
+        rtol=1e-2,
+    )
+    sea = np.linalg.norm(held_in_w3["torque"][:, 1], axis=1)
+    varied = np.linalg.norm(held_in_w3["torque_uniform"], axis=1)
+    assert np.all(np.abs(varied / sea - 1) < 0.5)
+    assert np.any(np.abs(varied / sea - 1) > 0.02)
+
+
+# --- one cell for real ------------------------------------------------------------------
+
+
+def cell_of(parameters, name):
+    return next(cell for cell in cells(parameters) if cell.name == name)
+
+
+def test_a_cell_is_what_the_simulation_gives(parameters):
+    cell = cell_of(parameters, "W1-P2-200cm-1")
+    arrays = dict.fromkeys((other.name for other in cells(parameters)), closed_loops(cell.loop))
+    row = cell_table(parameters, arrays).iloc[0]
+
+    own = cell.loop.parameters
+    scenario = Scenario.build(own, Sea.random(own.sea, own.fluid.gravity), poses()["P2"])
+    nmpc = simulate(scenario, NmpcController(scenario)).error
+    baseline = simulate(scenario, BaselineController(scenario)).error
+    assert row.ratio == pytest.approx(np.sqrt(np.mean(nmpc**2) / np.mean(baseline**2)), rel=1e-9)
+    late = slice(START, None)
+    settled = np.sqrt(np.mean(nmpc[late] ** 2) / np.mean(baseline[late] ** 2))
+    assert row.ratio_settled == pytest.approx(settled, rel=1e-9)
+
+
+def test_solves_that_run_out_of_iterations_are_failed_ones(parameters):
+    hasty = replace(parameters, nmpc=replace(parameters.nmpc, max_iterations=1, tolerance=1e-12))
+    arrays = dict.fromkeys(
+        (cell.name for cell in cells(hasty)),
+        closed_loops(
+            replace(cell_of(hasty, "W3-P3-300cm-1").loop, controllers=("baseline", "nmpc"))
+        ),
+    )
+    row = cell_table(hasty, arrays).iloc[0]
+    assert row.solves_failed > STEPS / 2
+    assert np.isfinite(row.ratio)
+
+
+# --- the figures ------------------------------------------------------------------------
+
+
+@pytest.fixture
+def drawn(parameters, tmp_path):
+    """Draw the tables of synthetic runs with another table of cells."""
+
+    def drawn(table):
+        store = Store("error_ratio", tmp_path)
+        tables = EXPERIMENT.tabulate(parameters, all_arrays(parameters))
+        for stem, one in {**tables, "error_ratio": table}.items():
+            store.write_table(stem, one)
+        apply()
+        return draw(store, parameters)
+
+    return drawn
+
+
+def crosses(drawing):
+    return sum(
+        len(line.get_xdata())
+        for axes in drawing.figure.axes
+        for line in axes.lines
+        if line.get_marker() == "x"
+    )
+
+
+def test_the_bars_are_the_ratios(drawn):
+    drawings = drawn(grid_table(falling))
+    panels = drawings["error_ratio"].figure.axes
+    assert len(panels) == 3
+    for wave, axes in zip(wave_cases(), panels, strict=True):
+        bars = sorted(axes.patches, key=lambda bar: bar.get_x())
+        expected = [
+            falling(wave, pose, height, 1)
+            for pose in poses()
+            for height in wave_cases()[wave].significant_height
+        ]
+        np.testing.assert_allclose([bar.get_height() for bar in bars], expected)
+        assert wave in axes.get_title(loc="left")
+        assert not axes.containers[0].errorbar
+    assert crosses(drawings["error_ratio"]) == 0
+    assert "Every solve" in drawings["error_ratio"].caption
+
+
+def test_bars_are_lighter_in_lower_waves(drawn):
+    bars = sorted(
+        drawn(grid_table(falling))["error_ratio"].figure.axes[0].patches,
+        key=lambda bar: bar.get_x(),
+    )
+    lightness = [np.dot(bar.get_facecolor()[:3], (0.3, 0.6, 0.1)) for bar in bars[:6]]
+    assert np.all(np.diff(lightness) < -0.05)
+
+
+def test_the_papers_values_stand_at_their_poses(drawn):
+    axes = drawn(grid_table(falling))["error_ratio"].figure.axes[2]
+    drawn_lines = [line.get_data() for line in axes.lines if len(line.get_xdata()) == 2]
+    levels = {round(float(heights[0]), 4): np.mean(places) for places, heights in drawn_lines}
+    assert levels[0.1622] == pytest.approx(list(poses()).index("P3"))
+    assert levels[0.9488] == pytest.approx(list(poses()).index("P4"))
+
+
+def test_a_failed_cell_is_marked_in_every_figure_of_it(drawn):
+    table = grid_table(falling)
+    table.loc[[4, 70], "solves_failed"] = [3, 2]
+    table.loc[20, "fallbacks"] = 1
+    drawings = drawn(table)
+    for name in ("error_ratio", "settled"):
+        assert crosses(drawings[name]) == 3
+        assert "3 of 108; solves" in drawings[name].caption
+        assert "converge: 5; commands from its fallback: 1." in drawings[name].caption
+
+
+def test_several_seas_get_whiskers(drawn):
+    drawing = drawn(grid_table(falling, 3))["error_ratio"]
+    whiskers = [one for axes in drawing.figure.axes for one in axes.containers if one is not None]
+    assert any(type(one).__name__ == "ErrorbarContainer" for one in whiskers)
+    assert "median over 3 random seas" in drawing.caption
+
+
+def test_figures_are_the_same_bytes_again(drawn):
+    table = grid_table(falling)
+    first, second = drawn(table), drawn(table)
+    assert set(first) == {"error_ratio", "settled", "loads"}
+    for name, drawing in first.items():
+        assert svg(drawing) == svg(second[name])
+        assert drawing.alt

@@ -1,0 +1,345 @@
+"""The star: its geometry, the measures of the error, and a short real run."""
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+import pytest
+
+from softwave_min.control.nmpc import Status
+from softwave_min.data import ParameterError
+from softwave_min.experiments.closed_loop import TRANSIENT
+from softwave_min.experiments.star import (
+    CONTROLLERS,
+    EXPERIMENT,
+    METRICS,
+    STILL,
+    StarRun,
+    choice,
+    follow,
+    headline,
+    in_still_water,
+    inner_loop_time,
+    measures,
+    period_spread,
+    scenario_of,
+)
+from softwave_min.experiments.star_path import (
+    StarParameters,
+    distance_to_star,
+    star_path,
+    star_vertices,
+)
+from softwave_min.figures.star import draw
+from softwave_min.figures.style import apply, svg
+from softwave_min.parameters import validate
+
+PENTAGRAM = math.cos(2 * math.pi / 5) / math.cos(math.pi / 5)
+STAR = StarParameters(
+    points=5,
+    centre=(0.5, -4.0),
+    outer_radius=0.25,
+    inner_ratio=PENTAGRAM,
+    orientation=math.pi / 2,
+    start_vertex=0,
+    drawing="outline",
+    manner="edges",
+    laps=1,
+    lap_duration=60.0,
+)
+ONE_STROKE = replace(STAR, drawing="one_stroke")
+STARS = pytest.mark.parametrize(
+    "star",
+    [
+        STAR,
+        ONE_STROKE,
+        replace(STAR, points=7, inner_ratio=0.6, start_vertex=3),
+        replace(ONE_STROKE, points=9, orientation=0.3),
+        replace(STAR, points=4, laps=3, lap_duration=8.0),
+    ],
+    ids=["outline", "one stroke", "seven points", "nonagram", "four points, three laps"],
+)
+
+
+# --- geometry -----------------------------------------------------------------------------
+
+
+def test_vertices_alternate_between_the_radii_at_equal_angles():
+    spokes = star_vertices(STAR) - STAR.centre
+    radius = np.hypot(*spokes.T)
+    np.testing.assert_allclose(radius[::2], 0.25)
+    np.testing.assert_allclose(radius[1::2], 0.25 * PENTAGRAM)
+    angle = np.unwrap(np.arctan2(spokes[:, 1], spokes[:, 0]))
+    np.testing.assert_allclose(np.diff(angle), math.pi / 5)
+    np.testing.assert_allclose(star_vertices(STAR)[0], [0.5, -3.75])
+
+
+def test_one_stroke_passes_through_the_inner_vertices_of_the_outline():
+    """The nominal ratio is the pentagram's: both stars are the same set of five lines."""
+    inner = star_vertices(STAR)[1::2]
+    np.testing.assert_allclose(distance_to_star(ONE_STROKE, inner), 0.0, atol=1e-12)
+    wider = star_vertices(replace(STAR, inner_ratio=0.5))[1::2]
+    assert distance_to_star(ONE_STROKE, wider).min() > 1e-3
+
+
+@STARS
+def test_lap_has_the_stated_length_and_closes(star):
+    corners = star_vertices(star)
+    closed = np.vstack([corners, corners[:1]])
+    lengths = np.hypot(*np.diff(closed, axis=0).T)
+    np.testing.assert_allclose(lengths, star.edge, rtol=1e-12)
+    assert star.speed * star.lap_duration == pytest.approx(lengths.sum())
+    assert len({tuple(np.round(corner, 9)) for corner in corners}) == star.vertices
+
+
+def test_known_perimeters():
+    """Of the unit pentagram's strokes 2 sin(2 pi / 5); an outline leaves out the inner fifth."""
+    chord = 2 * math.sin(2 * math.pi / 5)
+    assert ONE_STROKE.edge == pytest.approx(0.25 * chord)
+    assert STAR.edge == pytest.approx(0.25 * chord * PENTAGRAM)
+
+
+@STARS
+def test_speed_along_the_edges_is_constant(star):
+    period = star.lap_duration / star.vertices / 40
+    times = period * np.arange(star.laps * star.vertices * 40 + 1)
+    path = star_path(star, times)
+    np.testing.assert_allclose(np.hypot(*np.diff(path, axis=0).T) / period, star.speed, rtol=1e-6)
+    np.testing.assert_allclose(path[::40], star_vertices(star)[
+        np.arange(star.laps * star.vertices + 1) % star.vertices
+    ], atol=1e-9)  # fmt: skip
+
+
+@STARS
+def test_laps_repeat_and_the_last_ends_where_the_first_began(star):
+    times = np.linspace(0, star.lap_duration, 57)[:-1]
+    first = star_path(star, times)
+    for lap in range(1, star.laps):
+        again = star_path(star, times + lap * star.lap_duration)
+        np.testing.assert_allclose(again, first, atol=1e-9)
+    end = star.laps * star.lap_duration
+    start = np.tile(star_vertices(star)[0], (3, 1))
+    np.testing.assert_allclose(star_path(star, [end, end + 0.1, 2 * end]), start, atol=1e-12)
+
+
+def test_jumps_hold_each_vertex_for_an_equal_time():
+    star = replace(ONE_STROKE, manner="vertices", lap_duration=10.0)
+    times = 0.1 * np.arange(100)
+    path = star_path(star, times)
+    np.testing.assert_array_equal(path, np.repeat(star_vertices(star), 20, axis=0))
+
+
+def test_start_vertex_only_turns_the_order():
+    turned = star_vertices(replace(STAR, start_vertex=4))
+    np.testing.assert_allclose(turned, np.roll(star_vertices(STAR), -4, axis=0), atol=1e-12)
+
+
+def test_distance_to_the_star_of_points_off_an_edge():
+    corners = star_vertices(STAR)
+    middle, edge = corners[:2].mean(axis=0), corners[1] - corners[0]
+    outward = np.array([-edge[1], edge[0]]) / np.hypot(*edge)
+    # the tip's nearest place is the vertex itself
+    beyond = corners[0] + [0.0, 0.03]
+    points = np.array([middle, middle + 1e-3 * outward, beyond])
+    np.testing.assert_allclose(distance_to_star(STAR, points), [0, 1e-3, 0.03], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "complaint"),
+    [
+        ("points", 2, "points"),
+        ("inner_ratio", 1.0, "inner_ratio"),
+        ("outer_radius", 0.0, "outer_radius"),
+        ("laps", 0, "laps"),
+        ("start_vertex", 10, "below the number of vertices, 10"),
+        ("drawing", "spiral", "'outline' or 'one_stroke'"),
+    ],
+)
+def test_impossible_stars_are_refused(field, value, complaint):
+    values = {**vars(STAR), field: value}
+    values = {name: entry for name, entry in values.items() if not name.startswith("_")}
+    with pytest.raises(ParameterError, match=complaint):
+        validate(StarParameters, values, source="star")
+
+
+@pytest.mark.parametrize("points", [3, 6])
+def test_a_star_that_one_stroke_cannot_draw_is_refused(points):
+    with pytest.raises(ValueError, match="one stroke"):
+        replace(ONE_STROKE, points=points)
+
+
+# --- measures -----------------------------------------------------------------------------
+
+
+def series(offset, calm=(0.0, 0.0), steps=600, period=0.1):
+    """A tip that is off the path by a constant, and a calm one."""
+    target = star_path(STAR, period * np.arange(steps + 1))
+    return {"target": target, "W1_tip": target + offset, "still_tip": target + calm}
+
+
+def test_measures_of_a_constant_offset():
+    found = measures(STAR, series([0.03, -0.04], [0.03, 0.0]), "W1", 0.1)
+    assert set(found) == set(METRICS)
+    for name in ("rmse", "rmse_settled", "largest", "largest_settled"):
+        assert found[name] == pytest.approx(0.05)
+    assert found["rmse_x"] == pytest.approx(0.03)
+    assert found["rmse_z"] == pytest.approx(0.04)
+    assert found["waves_alone"] == pytest.approx(0.04)
+    assert found["root_sum_square"] == pytest.approx(0.05 * math.sqrt(601))
+    assert found["root_integral_square"] == pytest.approx(0.05 * math.sqrt(60.1))
+
+
+def test_start_counts_in_the_whole_run_alone():
+    data = series([0.0, 0.0])
+    data["W1_tip"][0] += [3.0, 4.0]
+    found = measures(STAR, data, "W1", 0.1)
+    assert found["rmse"] == pytest.approx(5 / math.sqrt(601))
+    assert found["largest"] == pytest.approx(5.0)
+    assert found["rmse_settled"] == found["largest_settled"] == 0.0
+    data["W1_tip"][round(TRANSIENT / 0.1)] += [0.0, 1.0]
+    assert measures(STAR, data, "W1", 0.1)["largest_settled"] == pytest.approx(1.0)
+
+
+def test_being_late_costs_distance_but_no_cross_track():
+    data = series([0.0, 0.0])
+    data["W1_tip"] = np.roll(data["target"], 10, axis=0)
+    found = measures(STAR, data, "W1", 0.1)
+    assert found["cross_track"] == pytest.approx(0.0, abs=1e-9)
+    # one second late, and at most that far in a straight line: less around the corners
+    assert 0.9 * STAR.speed < found["rmse"] <= STAR.speed
+
+
+# --- tables -------------------------------------------------------------------------------
+
+
+def star_table():
+    rows = [
+        {"wave": wave, "seed": seed, "controller": "nmpc", "paper": paper}
+        | dict.fromkeys(METRICS, scale * (1 + seed / 100))
+        for seed in range(101)
+        for wave, scale, paper in (("W1", 0.2, 0.25), ("W2", 0.3, 0.30), ("W3", 0.4, 0.35))
+    ]
+    calm = {"wave": STILL, "seed": pd.NA, "controller": "nmpc"} | dict.fromkeys(METRICS, 9.0)
+    return pd.DataFrame([calm, *rows])
+
+
+def test_headline_is_the_median_and_the_quantiles_over_the_seas():
+    table = headline(star_table())
+    row = table[(table.wave == "W2") & (table.measure == "rmse")].iloc[0]
+    assert [row.low, row["median"], row.high] == pytest.approx([0.315, 0.45, 0.585])
+    assert row.seas == 101
+    assert row.paper == 0.30
+    assert set(table.wave) == {"W1", "W2", "W3"}
+    assert table[table.measure == "rmse_settled"].paper.isna().all()
+
+
+def test_spread_over_periods_is_relative_to_the_mean():
+    row = period_spread(star_table()).set_index("measure").loc["rmse"]
+    assert [row.low, row["median"], row.high] == pytest.approx([0.2 / 0.3] * 3)
+    assert row.paper == pytest.approx(0.1 / 0.3)
+
+
+# --- closed loops -------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def short(nominal):
+    """Twelve seconds, in the first sea only."""
+    simulation = replace(nominal.simulation, duration=12.0)
+    return replace(nominal, simulation=simulation, sea=replace(nominal.sea, realisations=1))
+
+
+def test_the_run_starts_fully_extended_and_follows(short):
+    quick = replace(STAR, lap_duration=50.0)
+    found = follow(StarRun(in_still_water(short), quick))
+    assert found["nmpc_tip"][0] == pytest.approx([0.9, -4.0])
+    offset = np.hypot(*(found["nmpc_tip"] - found["nmpc_target"]).T)
+    assert offset[-1] < 0.02 < offset[0]
+    assert not found["nmpc_status"].any()
+    np.testing.assert_allclose(found["nmpc_target"], star_path(quick, found["time"]))
+
+
+def test_path_goes_on_through_the_last_horizon(short):
+    """Else the end of a run would look to the NMPC as if the target stopped."""
+    star = replace(STAR, lap_duration=60.0)
+    scenario = scenario_of(short, star)
+    times = 0.1 * np.arange(121 + short.nmpc.horizon)
+    np.testing.assert_allclose(scenario.targets, star_path(star, times))
+
+
+def test_drag_of_still_water_opposes_the_motion(short):
+    """Its power is negative, and no fluid accelerates."""
+    found = follow(StarRun(in_still_water(short), STAR))
+    rate = np.gradient(found["nmpc_q"], 0.1, axis=0)[1:-1]
+    power = np.sum(found["nmpc_drag"][1:] * rate, axis=1)
+    assert power.sum() < 0
+    assert power.max() < 1e-3 * -power.min()
+    assert not found["nmpc_fluid_inertia"].any()
+
+
+@pytest.fixture(scope="module")
+def arrays(short):
+    return {run.name: run.compute(run.parameters) for run in EXPERIMENT.runs(short)}
+
+
+@pytest.fixture(scope="module")
+def tables(short, arrays):
+    return EXPERIMENT.tabulate(short, arrays)
+
+
+def test_table_has_every_sea_and_controller_and_still_water_once(tables):
+    table = tables["star"]
+    rows = list(zip(table.wave, table.controller, strict=True))
+    waves = (STILL, "W1", "W2", "W3")
+    assert sorted(rows) == sorted((wave, name) for wave in waves for name in CONTROLLERS)
+    paper = table.set_index(["controller", "wave"]).paper
+    assert dict(paper["nmpc"].dropna()) == choice().rmse
+    assert paper["baseline"].isna().all()
+
+
+def test_waves_move_the_tip_and_still_water_is_its_own_reference(tables):
+    table = tables["star"].set_index(["wave", "controller"])
+    assert table.waves_alone[STILL].eq(0).all()
+    for wave in ("W1", "W2", "W3"):
+        assert table.waves_alone[wave]["baseline"] > 2 * table.waves_alone[wave]["nmpc"] > 1e-4
+
+
+def test_drag_grows_with_the_speed_of_the_water(tables):
+    """At one height the shortest period has the fastest water."""
+    scales = tables["time_scales"].set_index("wave")
+    assert scales.drag["W1"] > scales.drag["W3"]
+    assert scales.drag_over_fluid_inertia["W1"] < scales.drag_over_fluid_inertia["W3"]
+
+
+def test_failed_solves_are_seen_in_the_figure(short, arrays, tables):
+    apply()
+    store = SimpleNamespace(
+        load_run=lambda run: arrays[run.name], read_table=lambda stem: tables[stem]
+    )
+    well = draw(store, short)
+    assert set(well) == {"star_trajectory", "errors"}
+    assert all(drawing.caption and drawing.alt for drawing in well.values())
+    run = f"W3-{short.sea.seed}"
+    status = arrays[run]["nmpc_status"].copy()
+    status[[20, 50]] = Status.ITERATION_LIMIT
+    failed = {**arrays, run: {**arrays[run], "nmpc_status": status}}
+    marked = draw(SimpleNamespace(
+        load_run=lambda run: failed[run.name], read_table=lambda stem: tables[stem]
+    ), short)["star_trajectory"]  # fmt: skip
+    assert "crosses at the 2 solves" in marked.caption
+    assert svg(marked) != svg(well["star_trajectory"])
+    plt.close("all")
+
+
+def test_inner_loop_time_of_an_overdamped_joint(nominal):
+    """A single light segment with much damping: (damping) / (stiffness)."""
+    arm = replace(
+        nominal.arm, length=(0.05,), diameter=(0.01,), density=(nominal.fluid.density,),
+        stiffness=(1.0,), damping=(0.3,),
+    )  # fmt: skip
+    baseline = replace(nominal.baseline, proportional_gain=(3.0,), derivative_gain=(0.7,))
+    parameters = replace(nominal, arm=arm, baseline=baseline)
+    assert inner_loop_time(parameters, np.array([0.4])) == pytest.approx(1.0 / 4.0, rel=1e-3)

@@ -1,0 +1,420 @@
+"""Sweeps: by whom they are computed, interrupted, resumed and reported."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import psutil
+import pytest
+from toy_sweep import RUNS, Draw, toy
+from toy_sweep import compute as compute_sample
+
+from softwave_min.data import ROOT
+from softwave_min.parameters import parameter_set
+from softwave_min.runs import store as stores
+from softwave_min.runs.executor import Cluster, Processes, attempt
+from softwave_min.runs.experiment import Run
+from softwave_min.runs.identity import run_identity
+from softwave_min.runs.store import Store, read_table
+from softwave_min.runs.sweep import SweepError, compute, compute_all
+
+HELPERS = Path(__file__).resolve().parents[1] / "helpers"
+KILLS = 10
+PATIENCE = 20.0
+"""Longest that anything here may take on a busy machine, in s."""
+
+
+@pytest.fixture
+def shelf(tmp_path):
+    return Store("toy", tmp_path)
+
+
+def table_bytes(folder: Path):
+    return {path.name: path.read_bytes() for path in sorted(folder.glob("*.csv"))}
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory):
+    """Tables of the toy's sweep in this process, run after run."""
+    shelf = Store("toy", tmp_path_factory.mktemp("undisturbed"))
+    with Processes(1) as workers:
+        compute(toy(pause=0.0), parameter_set(), shelf, workers)
+    return table_bytes(shelf.folder)
+
+
+# --- who computes -----------------------------------------------------------------------
+
+
+def test_tables_are_the_same_to_the_last_bit_whoever_computes_the_runs(shelf, undisturbed):
+    with Processes(2) as workers:
+        assert compute(toy(pause=0.0), parameter_set(), shelf, workers) == RUNS
+    assert table_bytes(shelf.folder) == undisturbed
+
+
+def test_runs_that_end_in_another_order_make_the_same_tables(shelf, undisturbed):
+    class Backwards(Processes):
+        def completed(self, function, calls):
+            yield from reversed(list(super().completed(function, calls)))
+
+    compute(toy(pause=0.0), parameter_set(), shelf, Backwards(1))
+    assert table_bytes(shelf.folder) == undisturbed
+
+
+def test_a_sweep_on_a_dask_cluster_makes_the_same_tables(shelf, undisturbed, monkeypatch):
+    from distributed import LocalCluster
+
+    monkeypatch.syspath_prepend(HELPERS)
+    with (
+        LocalCluster(
+            host="127.0.0.1",
+            protocol="tcp://",
+            n_workers=1,
+            threads_per_worker=2,
+            processes=False,
+            dashboard_address=None,
+        ) as cluster,
+        Cluster(cluster.scheduler_address) as workers,
+    ):
+        with pytest.raises(SweepError, match=r"1 of 3 runs failed.*s-1-0: a seed below zero"):
+            compute(toy(seeds=(-1, 0, 1), pause=0.0), parameter_set(), shelf, workers)
+        assert compute(toy(pause=0.0), parameter_set(), shelf, workers) == RUNS - 2
+    assert table_bytes(shelf.folder) == undisturbed
+
+
+def test_a_worker_with_another_source_computes_nothing():
+    draw = toy(seeds=(1,)).runs(parameter_set())[0].parameters
+    assert attempt(compute_sample, draw, run_identity(compute_sample, draw)).failure == ""
+    assert "another source" in attempt(compute_sample, draw, "identity of older source").failure
+
+
+def test_a_run_under_two_names_in_one_experiment_is_computed_once_and_has_two_rows(shelf):
+    twice = replace(
+        toy(pause=0.0),
+        runs=lambda _: [Run(name, compute_sample, Draw(1, 5, 0.0)) for name in "ab"],
+    )
+    assert compute(twice, parameter_set(), shelf, Processes(1)) == 1
+    assert list(read_table(shelf.folder / "means.csv")["run"]) == ["a", "b"]
+
+
+# --- failures ---------------------------------------------------------------------------
+
+
+def test_the_runs_beside_a_failed_one_are_kept_and_the_report_is_a_line(shelf):
+    with (
+        Processes(2) as workers,
+        pytest.raises(SweepError, match=r"^toy: 2 of 6 runs failed.* s-2-0: a seed below zero$"),
+    ):
+        compute(toy(seeds=range(-2, 4), pause=0.0), parameter_set(), shelf, workers)
+    assert compute(toy(seeds=range(5), pause=0.0), parameter_set(), shelf, Processes(1)) == 1
+
+
+def test_an_error_lets_the_workers_go_at_once():
+    def interrupted():
+        with Processes(2) as workers:
+            for _ in workers.completed(time.sleep, [(0.0,), (1000.0,), (1000.0,)]):
+                raise KeyboardInterrupt
+
+    started = time.perf_counter()
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert time.perf_counter() - started < PATIENCE
+
+
+def test_an_error_does_not_wait_for_preparations_that_nobody_needs_any_more(tmp_path):
+    slow = [
+        replace(
+            toy(range(10 * i, 10 * i + 2), 0.0, prepare=lambda _: time.sleep(1.0)), name=f"t{i}"
+        )
+        for i in range(5)
+    ]
+    asked = [(one, Store(one.name, tmp_path)) for one in (*slow, toy(range(90, 92), 0.0))]
+    started = time.perf_counter()
+    swept = compute_all(asked, parameter_set(), Processes(1))
+    assert next(swept).experiment.name == "toy"
+    swept.close()
+    assert time.perf_counter() - started < 2.0
+
+
+def test_what_is_submitted_later_is_done_before_what_is_still_to_be_handed_out(tmp_path):
+    naps = [(tmp_path / "naps", 0.01)] * 60
+    with Processes(2) as workers:
+        urgent = None
+        for _ in workers.completed(nap, naps):
+            urgent = urgent or workers.submit(nap, tmp_path / "urgent", 0.0)
+            if urgent.done():
+                break
+    assert (tmp_path / "naps").stat().st_size < len(naps)
+
+
+def nap(path: Path, duration: float):
+    time.sleep(duration)
+    with path.open("a") as file:
+        file.write(".")
+
+
+def test_a_worker_that_dies_takes_only_what_it_was_given_with_it():
+    with Processes(2) as workers:
+        failed = sum(
+            result.exception() is not None
+            for _, result in workers.completed(os._exit, [(1,), (1,)])
+        )
+        assert failed == 2
+        alive = [result.result() for _, result in workers.completed(abs, [(-1,), (-2,)])]
+    assert sorted(alive) == [1, 2]
+
+
+# --- interruptions ----------------------------------------------------------------------
+
+
+class Death(BaseException):
+    """Ends a process here without a chance to clean up."""
+
+
+def test_a_death_at_any_write_changes_nothing_in_the_end(tmp_path, monkeypatch):
+    experiment, parameters = toy(seeds=range(3), pause=0.0), parameter_set()
+    compute(experiment, parameters, Store("toy", tmp_path / "whole"), Processes(1))
+    whole = table_bytes(tmp_path / "whole" / "toy")
+    replace, unlink = os.replace, os.unlink
+
+    def dies_at(write, before):
+        left = iter(range(write, -1, -1))
+
+        def replaced(source, target):
+            remaining = next(left)
+            if remaining == 0 and before:
+                raise Death
+            replace(source, target)
+            if remaining == 0:
+                raise Death
+
+        return replaced
+
+    deaths = 0
+    for write in range(100):
+        for before in (True, False):
+            shelf = Store("toy", tmp_path / f"{write}-{before}")
+            monkeypatch.setattr(stores.os, "unlink", lambda _: None)
+            monkeypatch.setattr(stores.os, "replace", dies_at(write, before))
+            with contextlib.suppress(Death):
+                compute(experiment, parameters, shelf, Processes(1))
+                assert deaths == 2 * 9  # three runs of two files, two tables, one record
+                return
+            deaths += 1
+            monkeypatch.setattr(stores.os, "replace", replace)
+            monkeypatch.setattr(stores.os, "unlink", unlink)
+            compute(experiment, parameters, shelf, Processes(1))
+            assert table_bytes(shelf.folder) == whole
+            assert not any(name.startswith(".writing-") for name in shelf.provenance()["files"])
+
+
+def test_what_dead_writers_and_former_definitions_leave_is_cleared_away(shelf):
+    compute(toy(seeds=range(2), pause=0.0), parameter_set(), shelf, Processes(1))
+    former = {path.name for path in shelf.folder.glob("runs/*")}
+    old, new = shelf.folder / ".writing-old", shelf.folder / "runs" / ".writing-new"
+    for path in (old, new):
+        path.write_bytes(b"half a ta")
+    os.utime(old, (0, 0))
+    compute(toy(seeds=range(2), pause=0.001), parameter_set(), shelf, Processes(1))
+    assert not old.exists()
+    assert new.exists()  # another sweep may be writing it
+    assert former.isdisjoint(path.name for path in shelf.folder.glob("runs/*"))
+
+
+def test_a_table_that_was_changed_by_hand_is_made_again(shelf):
+    experiment = toy(seeds=range(2), pause=0.0)
+    compute(experiment, parameter_set(), shelf, Processes(1))
+    made = table_bytes(shelf.folder)
+    (shelf.folder / "means.csv").write_text("run,mean\ns0-0,1.0\n")
+    assert compute(experiment, parameter_set(), shelf, Processes(1)) == 0
+    assert table_bytes(shelf.folder) == made
+
+
+@pytest.fixture
+def sweeps(tmp_path):
+    """A server of sweeps into a folder: arguments in, process id and exit status out."""
+    server = subprocess.Popen(
+        [sys.executable, "-c", "import toy_sweep; toy_sweep.serve()"],
+        env={
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join([str(HELPERS), str(ROOT)]),
+            "SOFTWAVE_RESULTS": str(tmp_path),
+            "OPENBLAS_NUM_THREADS": "1",  # threads do not survive a fork
+            "PYTHONWARNINGS": "ignore",
+        },
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+
+    def answer(word):
+        """What follows the word on the next line that begins with it; sweeps print, too."""
+        for line in server.stdout:
+            first, _, rest = line.strip().partition(" ")
+            if first == word:
+                return rest
+        raise AssertionError("the server of sweeps has ended")
+
+    def start(*arguments):
+        print(*arguments, file=server.stdin, flush=True)
+        return psutil.Process(int(answer("process")))
+
+    answer("ready")
+    yield start, lambda: int(answer("status"))
+    server.kill()
+    server.communicate()
+
+
+def test_a_sweep_killed_ten_times_ends_with_the_tables_of_an_undisturbed_one(
+    tmp_path, sweeps, undisturbed
+):
+    start, status = sweeps
+    shelf = Store("toy", tmp_path)
+    runs = toy().runs(parameter_set())
+    random = np.random.default_rng(2401)
+    killed_at_work = 0
+    for kill in range(KILLS):
+        sweep = start("run", "--jobs", "2")
+        present = computed(shelf)
+        while kill % 2 and computed(shelf) == present:  # every second one when it is at work
+            time.sleep(0.005)
+        time.sleep(random.uniform(0.0, 0.15))
+        family = [sweep, *sweep.children(recursive=True)]
+        if kill % 4 < 2:
+            os.killpg(sweep.pid, signal.SIGKILL)
+        else:
+            sweep.kill()
+        assert status() == -signal.SIGKILL
+        assert not psutil.wait_procs(family, timeout=PATIENCE)[1]  # workers end as well
+        killed_at_work += computed(shelf) > present
+        readable(shelf, runs)
+    assert killed_at_work >= KILLS // 2
+    assert computed(shelf) < len(runs)
+    start("run", "--jobs", "2")
+    assert status() == 0
+    assert table_bytes(shelf.folder) == undisturbed
+    assert main_reports_fresh(shelf)
+
+
+def computed(shelf):
+    return sum(1 for _ in shelf.folder.glob("runs/*.npz"))
+
+
+def readable(shelf, runs):
+    """Whatever counts as there is whole."""
+    for run in runs:
+        if shelf.has(run):
+            np.testing.assert_array_equal(
+                shelf.load_run(run)["sample"], compute_sample(run.parameters)["sample"]
+            )
+    for path in shelf.folder.glob("*.csv"):
+        assert isinstance(read_table(path), pd.DataFrame)
+
+
+def main_reports_fresh(shelf):
+    runs = toy().runs(parameter_set())
+    return all(shelf.has(run) for run in runs) and bool(shelf.provenance())
+
+
+# --- runs that two experiments share ----------------------------------------------------
+
+
+def renamed(experiment, name):
+    """Another experiment of the same runs, under other names."""
+
+    def runs(parameters):
+        return [replace(run, name=f"other-{run.name}") for run in experiment.runs(parameters)]
+
+    return replace(experiment, name=name, runs=runs)
+
+
+def test_what_an_experiment_beside_has_computed_is_not_computed_again(tmp_path):
+    experiment, parameters = toy(seeds=range(4), pause=0.0), parameter_set()
+    other = renamed(toy(seeds=range(5), pause=0.0), "other")
+    alone, shelf = Store("other", tmp_path / "alone"), Store("other", tmp_path / "shared")
+    assert compute(other, parameters, alone, Processes(1)) == 5
+    compute(experiment, parameters, Store("toy", tmp_path / "shared"), Processes(1))
+    assert compute(other, parameters, shelf, Processes(1)) == 1
+    assert table_bytes(shelf.folder) == table_bytes(alone.folder)
+    assert all(shelf.has(run) for run in other.runs(parameters))
+
+
+def test_only_whole_runs_of_the_same_definition_are_taken_over(tmp_path):
+    experiment, parameters = toy(seeds=range(4), pause=0.0), parameter_set()
+    beside = Store("toy", tmp_path)
+    compute(experiment, parameters, beside, Processes(1))
+    half, foreign, gone, _ = (beside.run_path(run) for run in experiment.runs(parameters))
+    half.write_bytes(half.read_bytes()[:-1])
+    record = foreign.with_suffix(".json")
+    record.write_text(record.read_text().replace('"identity": "', '"identity": "0'))
+    gone.with_suffix(".json").unlink()
+    assert (
+        compute(renamed(experiment, "other"), parameters, Store("other", tmp_path), Processes(1))
+        == 3
+    )
+
+
+def shared_sweep(first, second, folder, workers):
+    """Both experiments in one sweep; what it says of each, in the order in which it does."""
+    asked = [(one, Store(one.name, folder)) for one in (first, second)]
+    return list(compute_all(asked, parameter_set(), workers))
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_what_two_experiments_of_a_sweep_share_is_computed_once(tmp_path, jobs):
+    parameters = parameter_set()
+    toys, others = (toy(range(count), 0.0) for count in (4, 5))
+    others = renamed(others, "other")
+    alone = Store("other", tmp_path / "alone")
+    compute(others, parameters, alone, Processes(1))
+    with Processes(jobs) as workers:
+        swept = shared_sweep(toys, others, tmp_path / "both", workers)
+    assert [(one.experiment.name, one.computed) for one in swept] == [("toy", 4), ("other", 1)]
+    shelf = Store("other", tmp_path / "both")
+    assert table_bytes(shelf.folder) == table_bytes(alone.folder)
+    assert all(shelf.has(run) for run in others.runs(parameters))
+
+
+def test_a_failed_run_that_two_experiments_share_is_reported_by_both(tmp_path):
+    toys = toy(range(-1, 2), 0.0)
+    swept = shared_sweep(toys, renamed(toys, "other"), tmp_path, Processes(1))
+    assert [one.failure.partition(";")[0].partition(",")[0] for one in swept] == [
+        "toy: 1 of 3 runs failed",
+        "other: 1 of 3 runs failed",
+    ]
+    assert not list(tmp_path.glob("*/*.csv"))
+
+
+def test_an_experiment_has_its_tables_before_the_next_is_computed(tmp_path):
+    toys, others = toy(range(3), 0.0), renamed(toy(range(10, 13), 0.0), "other")
+    shelf = Store("other", tmp_path)
+    sweep = compute_all(
+        [(toys, Store("toy", tmp_path)), (others, shelf)], parameter_set(), Processes(1)
+    )
+    assert next(sweep).experiment is toys
+    assert table_bytes(tmp_path / "toy")
+    assert not any(shelf.has(run) for run in others.runs(parameter_set()))
+    assert next(sweep).experiment is others
+
+
+def test_runs_that_need_no_preparation_do_not_wait_for_it(tmp_path):
+    done = []
+    toys = toy(range(3), 0.0, prepare=lambda _: done.append(prompt.wait(PATIENCE)))
+    prompt = threading.Event()
+    others = renamed(toy(range(10, 13), 0.0), "other")
+    asked = [(toys, Store("toy", tmp_path)), (others, Store("other", tmp_path))]
+    sweep = compute_all(asked, parameter_set(), Processes(1))
+    assert next(sweep).experiment is others
+    prompt.set()
+    assert next(sweep).experiment is toys
+    assert done == [True]  # and once
