@@ -1,0 +1,62 @@
+"""What several figures share: interval bars, legends, and words on failed solves and seas."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import pandas as pd
+from matplotlib.axes import Axes
+from numpy.typing import ArrayLike
+
+from softwave_min.figures.style import INK, SKY
+from softwave_min.runs.statistics import INTERVAL
+
+
+def intervals(
+    axes: Axes,
+    places: Sequence[float],
+    rows: pd.DataFrame,
+    middle: str = "median",
+    *,
+    colour: str = INK,
+    band: str = SKY,
+    marker: str = "s",
+) -> None:
+    """A mark at the median and a bar from ``low`` to ``high`` for each row."""
+    axes.vlines(places, rows["low"], rows["high"], color=band, linewidth=6)
+    axes.plot(places, rows[middle], marker, color=colour, markersize=4, linestyle="none")
+
+
+def whiskers(
+    axes: Axes, places: ArrayLike, low: Any, middle: Any, high: Any, colour: str = INK
+) -> None:
+    """Thin lines over bars from the lower to the upper end of an interval."""
+    axes.errorbar(
+        places, middle, [middle - low, high - middle], fmt="none", ecolor=colour, elinewidth=0.9
+    )
+
+
+def legend_above(axes: Axes, **options: Any) -> None:
+    """Put the legend on the line of the title, where it hides no data."""
+    usual = {"ncols": len(axes.get_legend_handles_labels()[0]), "loc": "lower right"}
+    axes.legend(**{**usual, "bbox_to_anchor": (1.0, 0.97), "borderpad": 0, **options})
+
+
+def failure_sentence(table: pd.DataFrame, mark: str = "") -> str:
+    """How many solves of a table's loops did not converge; ``mark`` says how they are shown."""
+    solves, fallbacks = int(table["solves_failed"].sum()), int(table["fallbacks"].sum())
+    if not solves + fallbacks:
+        return "Every solve converged."
+    return (
+        f"Solves that did not converge: {solves}; commands from a fallback: {fallbacks}; "
+        f"their runs count.{' ' * bool(mark)}{mark}"
+    )
+
+
+def seas_sentence(seas: int) -> str:
+    """Over how many random seas a figure's numbers are taken."""
+    if seas == 1:
+        return "One random sea."
+    low, _, high = (f"{100 * quantile:g}" for quantile in INTERVAL)
+    return f"Medians over {seas} random seas, with {low} % to {high} % of them."
