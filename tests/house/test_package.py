@@ -147,15 +147,14 @@ def test_an_editable_install_brings_no_copy_of_the_data(tmp_path):
 def test_every_line_of_a_recipe_is_a_command_by_itself():
     """GNU make 3.81, which macOS ships, gives each line to a shell of its own."""
     text = (ROOT / "Makefile").read_text()
-    targets = re.findall(r"(?m)^([a-z]+):.*##", text)
-    for target in targets:
-        for choice in ("UV=uv", "UV="):
-            recipe = subprocess.run(
-                ["make", "-n", "-B", target, choice, f"PYTHON={sys.executable}"],
-                cwd=ROOT, capture_output=True, text=True, check=False,
-            )  # fmt: skip
-            for line in recipe.stdout.replace("\\\n", " ").splitlines():
-                assert subprocess.run(["sh", "-n", "-c", line], check=False).returncode == 0, line
+    targets = set(re.findall(r"(?m)^([a-z]+):.*##", text)) - {"lock"}  # which needs uv
+    for choice in ("UV=uv", "UV="):
+        recipes = subprocess.run(
+            ["make", "-n", "-B", *targets, choice, f"PYTHON={sys.executable}"],
+            cwd=ROOT, capture_output=True, text=True, check=True,
+        ).stdout  # fmt: skip
+        for line in set(recipes.replace("\\\n", " ").splitlines()):
+            assert subprocess.run(["sh", "-n", "-c", line], check=False).returncode == 0, line
     for newer in (".ONESHELL", ".SHELLFLAGS", "!=", "$(file"):  # than 3.81
         assert newer not in re.sub(r"(?m)^(#|\t).*", "", text)
 
