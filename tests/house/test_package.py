@@ -43,17 +43,27 @@ def python(code, *, command=(sys.executable,), folder=ROOT, **environment):
 def test_the_front_door_is_fifteen_names():
     assert len(sw.__all__) == 15
     assert all(getattr(sw, name).__doc__ for name in sw.__all__)
+    assert set(sw.__all__) <= set(dir(sw))
+    with pytest.raises(AttributeError, match="no attribute 'simulat'"):
+        _ = sw.simulat
 
 
 def test_the_library_is_imported_in_a_second_without_what_studies_and_books_need():
     found = json.loads(
         python(
-            "import json, sys, time; import softwave_min\n"
+            "import json, sys, time; from softwave_min import *\n"
             "print(json.dumps([time.process_time(), list(sys.modules)]))"
         )
     )
     assert HEAVY.isdisjoint(found[1])
     assert found[0] < 1.0
+
+
+def test_who_looks_at_waves_alone_loads_no_controller():
+    """A notebook is stale by what it has loaded."""
+    loaded = python("import sys, softwave_min as sw; sw.Sea; print(*sys.modules)").split()
+    assert "softwave_min.waves.field" in loaded
+    assert not [name for name in loaded if name.startswith("softwave_min.control")]
 
 
 def requirements(lines):
