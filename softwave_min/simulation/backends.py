@@ -34,14 +34,8 @@ def engine_or_none(scenario: Scenario) -> Engine | None:
     """The compiled engine where there is a compiler."""
     if compiler() is None:
         return None
-    parameters = scenario.parameters
-    return Engine(
-        scenario.arm,
-        scenario.believed_gains,
-        scenario.gains,
-        parameters.nmpc,
-        parameters.simulation,
-    )
+    gains, parameters = (scenario.believed_gains, scenario.gains), scenario.parameters
+    return Engine(scenario.arm, *gains, parameters.nmpc, parameters.simulation)
 
 
 def compile_engine(parameters: ParameterSet) -> None:

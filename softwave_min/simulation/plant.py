@@ -62,11 +62,7 @@ class CvodesPlant:
     """SUNDIALS' variable-order BDF."""
 
     def __init__(
-        self,
-        arm: Arm,
-        gains: Floats,
-        parameters: SimulationParameters,
-        period: float,
+        self, arm: Arm, gains: Floats, parameters: SimulationParameters, period: float
     ) -> None:
         self._fixed = np.concatenate([gains, arm.values])
         self._integrator = _cvodes(arm.structure, parameters, period)
@@ -103,11 +99,7 @@ class RungeKuttaPlant:
     """Dormand and Prince's fifth-order method with variable step."""
 
     def __init__(
-        self,
-        arm: Arm,
-        gains: Floats,
-        parameters: SimulationParameters,
-        period: float,
+        self, arm: Arm, gains: Floats, parameters: SimulationParameters, period: float
     ) -> None:
         self._rate = rate_function(arm.structure)
         self._gains, self._values = gains, arm.values
@@ -144,11 +136,7 @@ class ExtrapolatedPlant:
     """
 
     def __init__(
-        self,
-        arm: Arm,
-        gains: Floats,
-        parameters: SimulationParameters,
-        period: float,
+        self, arm: Arm, gains: Floats, parameters: SimulationParameters, period: float
     ) -> None:
         self._step = step_function(arm.structure)
         self._command = command_function(arm.structure)
