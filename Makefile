@@ -71,14 +71,14 @@ test: lint ## Style, types, layers, unit tests, every notebook and page; fails o
 	@$(PY) -m softwave_min run
 	@$(PY) notebooks/execute.py --check
 	@$(PY) book/build.py
-	@$(PY) tests/browser.py
+	@$(PY) tests/helpers/browser.py
 	@$(PY) -m pytest tests notebooks --nbval --numprocesses auto --maxprocesses 4
 
 lint: environment ## Style (ruff), types (mypy) and layers (import-linter) of the source
 	@$(PY) -m ruff check --quiet .
 	@$(PY) -m ruff format --quiet --check .
 	@$(PY) -m mypy
-	@.venv/bin/lint-imports
+	@.venv/bin/lint-imports --no-logo --cache-dir .build/layers
 
 verify: environment ## Compute everything once more, elsewhere, and compare with the committed tables
 	@$(PY) -m softwave_min verify
@@ -104,7 +104,7 @@ lock: ## Resolve requirements.in into environment.lock (needs uv)
 		--no-header --no-annotate requirements.in --output-file environment.lock
 
 clean: ## Remove the book, the notebooks' stamps and the caches
-	@rm -rf .build book/_build .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
+	@rm -rf .build book/_build .hypothesis .mypy_cache .pytest_cache .ruff_cache
 	@find . -name .venv -prune -o -name __pycache__ -prune -exec rm -r {} +
 
 distclean: clean ## Remove the computed runs and the environment as well

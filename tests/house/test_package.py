@@ -165,6 +165,7 @@ def test_every_line_of_a_recipe_is_a_command_by_itself():
         ).stdout  # fmt: skip
         for line in set(recipes.replace("\\\n", " ").splitlines()):
             assert subprocess.run(["sh", "-n", "-c", line], check=False).returncode == 0, line
+        assert all((ROOT / name).is_file() for name in re.findall(r"[\w/]+\.py\b", recipes))
     for newer in (".ONESHELL", ".SHELLFLAGS", "!=", "$(file"):  # than 3.81
         assert newer not in re.sub(r"(?m)^(#|\t).*", "", text)
 
