@@ -52,7 +52,7 @@ notebooks: computed ## Execute the notebooks whose inputs changed
 book: notebooks ## Build the book if an input changed: book/_build/html/index.html
 	@$(PY) book/build.py
 
-record: environment ## Compute and execute, and write what is to be committed, beyond tolerance or not
+record: environment ## Compute, execute, and write all that is to be committed, last digits included
 	@$(PY) -m softwave_min run --record
 	@$(PY) notebooks/execute.py --record
 
