@@ -17,9 +17,8 @@ from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
+import scipy  # whose parts are loaded when they are used
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import lsq_linear
 
 from softwave_min.arm import Arm
 from softwave_min.control.predictor import PeriodSteps, rollout_function
@@ -225,11 +224,13 @@ class GaussNewton:
     def step(self, inputs: Floats, residual: Floats, jacobian: Floats) -> Floats:
         """Minimise the linearised sum of squares within the bounds, (K, n)."""
         bound = self.parameters.angle_bound
-        step = -cho_solve(cho_factor(jacobian.T @ jacobian), jacobian.T @ residual)
+        factor = scipy.linalg.cho_factor(jacobian.T @ jacobian)
+        step = -scipy.linalg.cho_solve(factor, jacobian.T @ residual)
         flat = inputs.ravel()
         if np.any(np.abs(flat + step) > bound):
             limits = (-bound - flat, bound - flat)
-            step = np.clip(lsq_linear(jacobian, -residual, limits, method="bvls").x, *limits)
+            nearest = scipy.optimize.lsq_linear(jacobian, -residual, limits, method="bvls").x
+            step = np.clip(nearest, *limits)
         shaped: Floats = step.reshape(inputs.shape)
         return shaped
 

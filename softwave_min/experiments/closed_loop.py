@@ -29,7 +29,7 @@ Path = tuple[tuple[float, float], ...]
 RunData = Mapping[str, NDArray[Any]]
 Window = Literal["whole", "settled"]
 
-TRANSIENT = 10.0
+TRANSIENT = ClosedLoop.TRANSIENT
 """Seconds after which a run counts as settled."""
 WINDOWS: Mapping[Window, str] = {"whole": "", "settled": "_settled"}
 """Windows of an RMSE, start-up included or not, and the ending of their columns."""

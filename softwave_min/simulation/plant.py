@@ -12,8 +12,8 @@ from typing import Protocol
 
 import casadi as ca
 import numpy as np
+import scipy  # whose parts are loaded when they are used
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 
 from softwave_min.arm import Arm, Structure, Values, mechanics
 from softwave_min.control.baseline import InnerLoop
@@ -121,7 +121,7 @@ class RungeKuttaPlant:
             answer: Floats = self._rate(x, time, q_bar, flow, self._gains, self._values).full()
             return answer.ravel()
 
-        run = solve_ivp(
+        run = scipy.integrate.solve_ivp(
             rate,
             (-self._half, self._half),
             state,

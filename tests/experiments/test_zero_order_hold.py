@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -33,14 +31,19 @@ def told(telling, problem):
     return asked.problem
 
 
+def assert_same_but_for(name, found, problem):
+    others = vars(found).keys() - {name}
+    assert all(getattr(found, one) is getattr(problem, one) for one in others)
+
+
 def test_held_reference_is_the_next_point(problem):
     found = told(held_reference, problem)
     np.testing.assert_array_equal(found.reference, np.tile(problem.reference[0], (4, 1)))
-    assert replace(found, reference=problem.reference) == problem
+    assert_same_but_for("reference", found, problem)
 
 
 def test_held_flow_is_that_of_the_present_period(problem):
     found = told(held_flow, problem)
     np.testing.assert_array_equal(found.forecast.flow, np.tile(problem.forecast.flow[0], (4, 1)))
     assert found.forecast.disturbance is problem.forecast.disturbance
-    assert replace(found, forecast=problem.forecast) == problem
+    assert_same_but_for("forecast", found, problem)
