@@ -1,8 +1,8 @@
 """Mutation run: change a room in one place at a time and see whether one of its tests notices.
 
-cosmic-ray makes the changes, tests them and keeps what became of each. Ours are the rooms, two
-operators for what formulas are made of, names that outlive a line that moves, and the report: a
-mutant that no test kills must be explained by its name in ``mutation_survivors.md``.
+cosmic-ray makes the changes and keeps what became of each. Ours are the rooms, two operators for
+what formulas are made of, names that outlive a line that moves, the forked test run, and the
+report: a mutant that no test kills must be explained by its name in ``mutation_survivors.md``.
 
 Tests draw few random examples first, the last killer ahead; survivors meet all examples. A run
 resumes where it was interrupted, and starts anew when the room's source or its tests have changed.
@@ -13,32 +13,51 @@ from __future__ import annotations
 import argparse
 import ast
 import hashlib
+import importlib
 import multiprocessing
 import os
-import shlex
+import resource
 import shutil
-import subprocess
+import signal
 import sys
 import tempfile
-import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
+import pytest
 from cosmic_ray.ast import ast_nodes, get_ast
-from cosmic_ray.mutating import mutate_and_test, mutate_code
+from cosmic_ray.mutating import mutate_code, use_mutation
 from cosmic_ray.operators.operator import Operator
 from cosmic_ray.plugins import OPERATOR_PROVIDERS, get_operator
 from cosmic_ray.work_db import use_db
-from cosmic_ray.work_item import MutationSpec, WorkerOutcome, WorkItem, WorkResult
+from cosmic_ray.work_item import MutationSpec, TestOutcome, WorkerOutcome, WorkItem, WorkResult
 from parso.tree import NodeOrLeaf
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = Path("softwave_min")
 ROOMS = {"arm": ["tests/arm"], "waves": ["tests/waves"]}
 """Folders of the package, each with the tests that answer for it."""
+PRELOADED = ("casadi", "hypothesis", "matplotlib.pyplot", "pandas", "pydantic", "scipy.optimize")
+PYTEST = [
+    "-x",
+    "--ff",
+    "--tb=no",
+    "-W",
+    "ignore",
+    "-o",
+    "addopts=",
+    "-p",
+    "_hypothesis_pytestplugin",
+]
+STAGES = (
+    ["--hypothesis-profile=mutation"],
+    ["--hypothesis-profile=reproducible", "-m", "hypothesis"],
+)
+"""All tests with few random examples, then with all examples those that draw any."""
+DAY, LATE, OUTPUT = 86400, "stopped by its limit", "tests.log"
 COPIED = ("softwave_min", "tests", "data", "pyproject.toml", "environment.lock")
 
 SWAPPED = {"sin": "cos", "cos": "sin", "sinh": "cosh", "cosh": "sinh"}
@@ -170,14 +189,6 @@ def database(root: Path, room: str, *, again: bool) -> Path:
     return path
 
 
-def command(room: str) -> str:
-    """Run the tests with few examples, then those that draw any (or none: status 5) with all."""
-    options = "-m pytest -x --ff --tb=no -W ignore -o addopts= -p _hypothesis_pytestplugin"
-    pytest = " ".join([shlex.quote(sys.executable), options, *ROOMS[room], "--hypothesis-profile"])
-    stages = f"{pytest} mutation && {{ {pytest} reproducible -m hypothesis || [ $? -eq 5 ]; }}"
-    return shlex.join(["sh", "-c", stages])
-
-
 def settle(root: Path, folder: str) -> None:
     """Begin a process: its place is a copy of the project, in which it mutates."""
     copy = Path(tempfile.mkdtemp(dir=folder))
@@ -189,18 +200,68 @@ def settle(root: Path, folder: str) -> None:
     os.chdir(copy)
 
 
-def unmutated(line: str) -> float:
-    """How long the tests take without a mutation, in s; they must pass."""
-    began = time.monotonic()
-    ended = subprocess.run(shlex.split(line), capture_output=True, text=True, check=False)
-    if ended.returncode:
-        raise SystemExit(f"mutation: tests fail without any:\n{ended.stdout}{ended.stderr}")
-    return time.monotonic() - began
+def fork_tests(room: str, stage: list[str], limit: int) -> tuple[int, float]:
+    """Exit status and processor time, in s, of the tests in a process of their own.
+
+    The child has the libraries in memory; to load them takes longer than most mutants live.
+    """
+    child = os.fork()
+    if child == 0:
+        # Processor time, not a clock's: the machine may have other work.
+        resource.setrlimit(resource.RLIMIT_CPU, (limit, limit + 5))
+        signal.alarm(20 * limit)
+        output = os.open(OUTPUT, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+        os.dup2(output, 1)
+        os.dup2(output, 2)
+        sys.path.insert(0, os.getcwd())
+        status = pytest.main([*PYTEST, *stage, *ROOMS[room]])
+        sys.stdout.flush()
+        os._exit(status)
+    _, status, usage = os.wait4(child, 0)
+    return os.waitstatus_to_exitcode(status), usage.ru_utime + usage.ru_stime
 
 
-def tested(line: str, limit: float, item: WorkItem) -> tuple[str, WorkResult]:
+def unmutated(room: str) -> list[int]:
+    """Limits of each stage, in s, after what it takes without a mutation; it must pass."""
+    limits = []
+    for stage in STAGES:
+        status, seconds = fork_tests(room, stage, DAY)
+        if status not in (0, pytest.ExitCode.NO_TESTS_COLLECTED):
+            raise RuntimeError(f"tests fail without a mutation:\n{Path(OUTPUT).read_text()}")
+        limits.append(60 + 5 * int(seconds))
+    return limits
+
+
+def tested(room: str, limits: list[int], item: WorkItem) -> tuple[str, WorkResult]:
     """Name of a mutant and what became of it."""
-    return item.job_id, mutate_and_test(item.mutations, line, limit)
+    sys.dont_write_bytecode = True
+    (spec,) = item.mutations
+    with use_mutation(spec.module_path, get_operator(spec.operator_name)(), spec.occurrence):
+        for stage, limit in zip(STAGES, limits, strict=True):
+            status, _ = fork_tests(room, stage, limit)
+            if status not in (0, pytest.ExitCode.NO_TESTS_COLLECTED):
+                late = status in (-signal.SIGXCPU, -signal.SIGALRM)
+                output = LATE if late else Path(OUTPUT).read_text(encoding="utf-8")
+                return item.job_id, WorkResult(WorkerOutcome.NORMAL, output, TestOutcome.KILLED)
+    return item.job_id, WorkResult(WorkerOutcome.NORMAL, "", TestOutcome.SURVIVED)
+
+
+def run(root: Path, room: str, todo: list[WorkItem], jobs: int) -> Iterator[tuple[str, WorkResult]]:
+    """Test mutants in copies of the project, several at a time, and say how it goes."""
+    os.environ |= {"OPENBLAS_NUM_THREADS": "1", "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
+    for library in PRELOADED:
+        importlib.import_module(library)
+    processes = multiprocessing.get_context("fork")
+    with (
+        tempfile.TemporaryDirectory(prefix="mutation-") as folder,
+        processes.Pool(jobs, settle, (root, folder)) as pool,
+    ):
+        limits = pool.apply(unmutated, (room,))
+        ended = pool.imap_unordered(partial(tested, room, limits), todo)
+        for number, (name, result) in enumerate(ended, start=1):
+            if not result.is_killed or number % 20 == 0:
+                print(f"{number} of {len(todo)}: {result.test_outcome.value}, {name}", flush=True)
+            yield name, result
 
 
 def examine(
@@ -212,23 +273,9 @@ def examine(
             db.add_work_items(mutants(root, room))
         known = {name for name, result in db.results if result.is_killed or not again}
         chosen = [item for item in db.work_items if only in item.job_id]
-        todo = [item for item in chosen if item.job_id not in known]
-        if todo:
-            with (
-                tempfile.TemporaryDirectory(prefix="mutation-") as folder,
-                multiprocessing.Pool(jobs, settle, (root, folder)) as pool,
-            ):
-                limit = 60 + 3 * pool.apply(unmutated, (command(room),))
-                ended = pool.imap_unordered(partial(tested, command(room), limit), todo)
-                for number, (name, result) in enumerate(ended, start=1):
-                    if result.worker_outcome is not WorkerOutcome.NORMAL:
-                        raise SystemExit(f"mutation: {name}:\n{result.output}")
-                    db.set_result(name, result)
-                    if not result.is_killed or number % 20 == 0:
-                        print(
-                            f"{number} of {len(todo)}: {result.test_outcome.value}, {name}",
-                            flush=True,
-                        )
+        if todo := [item for item in chosen if item.job_id not in known]:
+            for name, result in run(root, room, todo, jobs):
+                db.set_result(name, result)
         results = dict(db.results)
         return {item.job_id: results[item.job_id] for item in chosen}
 
@@ -255,7 +302,6 @@ def main() -> int:
     )
     asked = parser.parse_args()
     os.nice(10)
-    os.environ |= {"OPENBLAS_NUM_THREADS": "1", "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
     lines = (ROOT / "tests" / "mutation_survivors.md").read_text(encoding="utf-8").splitlines()
     reasons = {line[3:].split("`")[0] for line in lines if line.startswith("- `")}
     left = []
@@ -263,7 +309,7 @@ def main() -> int:
         known = examine(ROOT, room, jobs=asked.jobs, only=asked.only, again=asked.survivors)
         own = {name for name in reasons if name.startswith(f"{room}/") and asked.only in name}
         killed = sum(result.is_killed for result in known.values())
-        late = sum(result.output == "timeout" for result in known.values())
+        late = sum(result.output == LATE for result in known.values())
         print(f"{room}: {killed} of {len(known)} killed, {late} of them by the time limit")
         left += open_ends(known, own)
     print(*left, sep="\n")
