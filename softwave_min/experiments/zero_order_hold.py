@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from softwave_min.control.nmpc import Problem, Solution, Solver
+from softwave_min.control.problem import Problem, Solution, Solver
 from softwave_min.simulation import ClosedLoop, NmpcController, Scenario, simulate, solver_of
 
 Floats = NDArray[np.float64]

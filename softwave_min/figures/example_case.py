@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from softwave_min.arm import Arm
-from softwave_min.control.nmpc import Status
+from softwave_min.control.problem import Status
 from softwave_min.experiments.closed_loop import TRANSIENT
 from softwave_min.experiments.example_case import (
     EXPERIMENT,

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from softwave_min.control.nmpc import Status
+from softwave_min.control.problem import Status
 from softwave_min.data import ParameterError
 from softwave_min.experiments.closed_loop import TRANSIENT
 from softwave_min.experiments.star import (

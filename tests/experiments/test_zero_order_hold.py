@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from softwave_min.control.nmpc import Problem
+from softwave_min.control.problem import Problem
 from softwave_min.control.preview import Forecast
 from softwave_min.experiments.zero_order_hold import Told, held_flow, held_reference
 
