@@ -261,19 +261,24 @@ def reasons() -> dict[str, Reason]:
     return read_claims().reason
 
 
-def paper_entry(place: str) -> Any:
-    """An entry of a file in ``data/paper/``: ``poses:P1``, ``error_ratio:reduction.W3.largest``.
+def data_entry(file: str, name: str) -> Any:
+    """An entry of a file in ``data/`` by its dotted name; positions in lists count from 0.
 
     Raises
     ------
     LookupError
         If there is no such entry.
     """
-    file, name = place.split(":")
-    found: Any = read_toml(data_folder() / "paper" / f"{file}.toml")
+    found: Any = read_toml(data_folder() / file)
     for part in name.split("."):
         found = found[int(part) if isinstance(found, list) else part]
     return found
+
+
+def paper_entry(place: str) -> Any:
+    """An entry of a file in ``data/paper/``: ``poses:P1``, ``error_ratio:reduction.W3.largest``."""
+    file, name = place.split(":")
+    return data_entry(f"paper/{file}.toml", name)
 
 
 def _with_paper_numbers(written: dict[str, Any]) -> dict[str, Any]:
