@@ -16,21 +16,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from computed import (
-    aside,
-    classed,
-    directive,
-    link,
-    links,
-    logger,
-    plain,
-    role,
-    rounded,
-    sentence,
-    table,
-    target,
-    texts,
-)
+import myst
 from sphinx.application import Sphinx
 
 from softwave_min.paper.claims import Claim, Reason, read_claims
@@ -45,33 +31,33 @@ def judged(results: Path) -> list[tuple[Any, Claim, Reason | None]]:
     """Each row of the table of verdicts, with its claim and the reason if that has one."""
     file = read_claims()
     stated = {one.id: one for one in file.claim}
-    rows = texts(verdicts_path(results)).itertuples()
+    rows = myst.texts(verdicts_path(results)).itertuples()
     return [(row, stated[row.id], file.reason.get(stated[row.id].why)) for row in rows]
 
 
 def claim_link(row: Any) -> str:
     """A link to a claim."""
-    return link(f"claim-{row.id.lower()}", row.id)
+    return myst.link(f"claim-{row.id.lower()}", row.id)
 
 
 def verdict_mark(verdict: str) -> str:
     """A verdict with the mark that the style sheet gives it."""
-    return classed(verdict, f"verdict-{verdict.replace(' ', '-')}")
+    return myst.classed(verdict, f"verdict-{verdict.replace(' ', '-')}")
 
 
 def interval(row: Any) -> str:
     """Both ends of the interval over random seas; nothing where there is none."""
-    return f"{rounded(row.low)} to {rounded(row.high)}" if row.low else ""
+    return f"{myst.rounded(row.low)} to {myst.rounded(row.high)}" if row.low else ""
 
 
 def with_unit(number: str, row: Any) -> str:
     """A number of the table with its unit."""
-    return plain(f"{rounded(number)} {row.unit}".rstrip()) if number else ""
+    return myst.plain(f"{myst.rounded(number)} {row.unit}".rstrip()) if number else ""
 
 
 def evidence(reason: Reason) -> str:
     """Links to what a reason rests on."""
-    places = "; ".join(link(place.partition("#")[2]) for place in reason.evidence)
+    places = "; ".join(myst.link(place.partition("#")[2]) for place in reason.evidence)
     return f"[Computed in: {places}.]{{.claim-note}}"
 
 
@@ -79,20 +65,20 @@ def claims_table(results: Path) -> str:
     """All claims with their verdicts."""
     rows = [
         (
-            [target(f"claim-{row.id.lower()}", row.id), aside(row.kind)],
+            [myst.target(f"claim-{row.id.lower()}", row.id), myst.aside(row.kind)],
             [
-                plain(claim.statement),
-                aside(f"{sentence(claim.place)} {row.note}"),
+                myst.plain(claim.statement),
+                myst.aside(f"{myst.sentence(claim.place)} {row.note}"),
                 *_why(row, reason),
             ],
             with_unit(row.paper_value, row),
-            [with_unit(row.our_value, row), aside(interval(row))],
+            [with_unit(row.our_value, row), myst.aside(interval(row))],
             verdict_mark(row.verdict),
             _links(claim),
         )
         for row, claim, reason in judged(results)
     ]
-    return table(HEADINGS, rows, class_="claims")
+    return myst.table(HEADINGS, rows, class_="claims")
 
 
 def _why(row: Any, reason: Reason | None) -> Iterator[str]:
@@ -100,24 +86,24 @@ def _why(row: Any, reason: Reason | None) -> Iterator[str]:
     if row.verdict not in FAILED:
         return
     if reason is None or not row.why:
-        logger.warning("claims: %s is %s, without a reason", row.id, row.verdict)
+        myst.logger.warning("claims: %s is %s, without a reason", row.id, row.verdict)
         return
     summary = escape(f"Why {row.verdict}")
     yield f'<details class="claim-why"><summary>{summary}</summary>'
-    yield from (plain(row.why), evidence(reason), "</details>")
+    yield from (myst.plain(row.why), evidence(reason), "</details>")
 
 
 def _links(claim: Claim) -> list[str]:
     experiment = claim.experiment
-    found = [link(f"experiment-{experiment}", experiment)] if experiment else []
-    return [*links(claim), link(claim.cell), *found]
+    found = [myst.link(f"experiment-{experiment}", experiment)] if experiment else []
+    return [*myst.links(claim), myst.link(claim.cell), *found]
 
 
 def count(results: Path, text: str) -> tuple[str, str]:
     """How many claims have a verdict, and the words for so many."""
     what, _, forms = text.partition(":")
     *kind, verdict = what.split("/")
-    rows = texts(verdicts_path(results))
+    rows = myst.texts(verdicts_path(results))
     found = rows[rows["kind"] == kind[0]] if kind else rows
     number = len(found) if verdict == EVERY else int((found["verdict"] == verdict).sum())
     one, _, several = (part.strip() for part in forms.partition(";"))
@@ -126,6 +112,6 @@ def count(results: Path, text: str) -> tuple[str, str]:
 
 def setup(app: Sphinx) -> dict[str, Any]:
     """Register with Sphinx."""
-    app.add_directive("claims", directive(claims_table))
-    app.add_role("verdicts", role(count))
+    app.add_directive("claims", myst.directive(claims_table))
+    app.add_role("verdicts", myst.role(count))
     return {"parallel_read_safe": True, "parallel_write_safe": True}

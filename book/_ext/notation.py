@@ -5,13 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from computed import directive, table
+import myst
 from sphinx.application import Sphinx
 
 from softwave_min.data import data_folder, read_toml
 
 HEADINGS = ("Symbol", "Meaning", "Unit", "Name in the code")
-WIDTHS = "16 40 12 32"
 
 
 def notation(_: Path, group: str) -> str:
@@ -23,7 +22,7 @@ def notation(_: Path, group: str) -> str:
         (f"${one['symbol']}$", _meaning(one), _unit(one["unit"]), _name(one))
         for one in symbols[group]
     ]
-    return table(HEADINGS, rows, class_="notation", widths=WIDTHS)
+    return myst.table(HEADINGS, rows, class_="notation")
 
 
 def _meaning(symbol: dict[str, str]) -> str:
@@ -52,5 +51,5 @@ def _name(symbol: dict[str, str]) -> str:
 
 def setup(app: Sphinx) -> dict[str, Any]:
     """Register with Sphinx."""
-    app.add_directive("notation", directive(notation, arguments=1))
+    app.add_directive("notation", myst.directive(notation, arguments=1))
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -15,25 +15,15 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from computed import (
-    aside,
-    classed,
-    directive,
-    link,
-    links,
-    plain,
-    role,
-    sentence,
-    table,
-    target,
-    texts,
-)
+import myst
 from sphinx.application import Sphinx
 
 from softwave_min.paper.claims import MINUS
 from softwave_min.paper.open_points import OpenPoint, Switch, open_points
+from softwave_min.studies.open_points import GROUPS as UNITS
+from softwave_min.studies.open_points import MEASURED
 
 HEADINGS = ("Point", "The paper", "Readings", "Why", "Switch", "Effect", "Treated in")
 NO_SWITCH = "none"
@@ -41,42 +31,28 @@ EVERY = "all"
 """Stands for every point."""
 SWITCHED = "switch"
 """Stands for those with a switch."""
-MEASURED = "measured"
-"""Status of a switch of which every value could be run."""
 
 Effect = Mapping[str, str]
 
 
-class Group(NamedTuple):
-    """How to speak of a group of headline numbers and of a change of them."""
-
-    short: str
-    long: str
-    unit: str
-    decimals: int
-
-
-GROUPS: Mapping[str, Group] = {
-    "largest_reduction": Group(
-        "largest reduction", "the largest reduction of the error", "points", 1
-    ),
-    "lowest_reduction": Group(
-        "smallest reduction", "the smallest reduction of the error", "points", 1
-    ),
-    "rise": Group("rise", "the rise of the error after the failure", "points", 1),
-    "star": Group("star", "the error on the star", "m", 4),
+GROUPS = {
+    "largest_reduction": ("largest reduction", "the largest reduction of the error"),
+    "lowest_reduction": ("smallest reduction", "the smallest reduction of the error"),
+    "rise": ("rise", "the rise of the error after the failure"),
+    "star": ("star", "the error on the star"),
 }
+"""A group of headline numbers in short, and in a sentence."""
 
 
 def effects(results: Path) -> list[dict[str, str]]:
     """A row for each switch that was measured; none where nothing was."""
     path = results / "open_points" / "points.csv"
-    return texts(path).to_dict("records") if path.is_file() else []
+    return myst.texts(path).to_dict("records") if path.is_file() else []
 
 
 def point_link(name: str) -> str:
     """A link to an open point."""
-    return link(f"point-{name.lower()}", name)
+    return myst.link(f"point-{name.lower()}", name)
 
 
 def points_table(results: Path) -> str:
@@ -84,30 +60,31 @@ def points_table(results: Path) -> str:
     found = effects(results)
     rows = [
         (
-            [target(f"point-{point.id.lower()}", point.id), aside(point.kind)],
-            [plain(point.says), aside(sentence(point.place))],
+            [myst.target(f"point-{point.id.lower()}", point.id), myst.aside(point.kind)],
+            [myst.plain(point.says), myst.aside(myst.sentence(point.place))],
             _readings(point),
-            plain(point.reason),
+            myst.plain(point.reason),
             _switches(point),
             _effects(point, [one for one in found if one["point"] == point.id]),
-            links(point),
+            myst.links(point),
         )
         for point in open_points()
     ]
-    return table(HEADINGS, rows, class_="claims open-points")
+    return myst.table(HEADINGS, rows, class_="claims open-points")
 
 
 def _readings(point: OpenPoint) -> list[str]:
     return [
-        classed(reading, "reading-taken") if number == point.choice else plain(reading)
+        myst.classed(reading, "reading-taken") if number == point.choice else myst.plain(reading)
         for number, reading in enumerate(point.readings, start=1)
     ]
 
 
 def _switches(point: OpenPoint) -> list[str]:
     names = ", ".join(one.field for one in point.switches) or NO_SWITCH
-    elsewhere = f"See {point.elsewhere}." if point.elsewhere else ""
-    return [plain(names), *(aside(_values(one)) for one in point.switches), aside(elsewhere)]
+    notes = [_values(one) for one in point.switches]
+    notes += [f"See {point.elsewhere}."] if point.elsewhere else []
+    return [myst.plain(names), *map(myst.aside, notes)]
 
 
 def _values(switch: Switch) -> str:
@@ -136,7 +113,7 @@ def _effects(point: OpenPoint, measured: Sequence[Effect]) -> list[str]:
         return ["not measured"]
     times = _times(max(float(one["times"]) for one in measured))
     mark = f"**{times}**" if _any(measured, "matters") else times
-    return [mark, *(aside(_changes(one)) for one in measured)]
+    return [mark, *(myst.aside(_changes(one)) for one in measured)]
 
 
 def _any(measured: Iterable[Effect], column: str) -> bool:
@@ -150,10 +127,10 @@ def _times(times: float) -> str:
 def _changes(one: Effect) -> str:
     """What a switch does to each group of numbers; in brackets what another sea does as well."""
     found = [
-        f"{words.short} {_change(one, group)}"
+        f"{short} {_change(one, group)}"
         if one[f"{group}_exceeds"] == "yes"
-        else f"{words.short} ({_change(one, group)})"
-        for group, words in GROUPS.items()
+        else f"{short} ({_change(one, group)})"
+        for group, (short, _) in GROUPS.items()
         if one[group]
     ]
     status = [] if one["status"] == MEASURED else [one["status"]]
@@ -161,11 +138,9 @@ def _changes(one: Effect) -> str:
 
 
 def _change(one: Effect, group: str) -> str:
-    words = GROUPS[group]
-    text = f"{float(one[group]):+.{words.decimals}f}"
-    if not float(text):
-        return "0"
-    return f"{text.replace('-', MINUS)} {words.unit}"
+    unit = UNITS[group]
+    text = f"{float(one[group]):+.{4 if unit == 'm' else 1}f}"
+    return f"{text.replace('-', MINUS)} {unit}" if float(text) else "0"
 
 
 def summary(results: Path) -> str:
@@ -182,9 +157,9 @@ def summary(results: Path) -> str:
     failed = [name for name, own in idle.items() if any(one["status"] != MEASURED for one in own)]
     ran = [name for name in idle if name not in failed]
     hidden = [name for name in ran if not _any(idle[name], "exceeds")]
-    return plain(
+    return myst.plain(
         f"The reading that matters most is one of {first['point']}: {first['field']} = "
-        f"{_rounded_value(first[f'{group}_at'])} changes {GROUPS[group].long} by "
+        f"{myst.rounded(first[f'{group}_at'])} changes {GROUPS[group][1]} by "
         f"{_change(first, group)}, {_times(float(first['times']))} what is allowed for. "
         f"Of the {len(by_point)} points with a switch {len(ran)} do not matter: "
         f"with {len(hidden)} of them no headline number moves by more than another random sea "
@@ -199,13 +174,6 @@ def _listed(names: Sequence[str]) -> str:
     return f" ({', '.join(names)})" if names else ""
 
 
-def _rounded_value(text: str) -> str:
-    try:
-        return _written(json.loads(text))
-    except ValueError:
-        return text
-
-
 def count(_: Path, of: str) -> tuple[str, str]:
     """How many points there are, of a kind, or with a switch."""
     found = open_points()
@@ -216,7 +184,7 @@ def count(_: Path, of: str) -> tuple[str, str]:
 
 def setup(app: Sphinx) -> dict[str, Any]:
     """Register with Sphinx."""
-    app.add_directive("open-points", directive(points_table))
-    app.add_directive("open-points-summary", directive(summary))
-    app.add_role("open-points", role(count))
+    app.add_directive("open-points", myst.directive(points_table))
+    app.add_directive("open-points-summary", myst.directive(summary))
+    app.add_role("open-points", myst.role(count))
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -11,8 +11,6 @@ quantity is quoted as it stands.
 line of its content is a column: its name in the file, its heading, its format. The option
 ``where`` keeps the rows that have a value in a column (``axis=horizon``). A flat JSON file is
 shown entry by entry.
-
-What is not there is a warning, and a warning fails the build.
 """
 
 from __future__ import annotations
@@ -20,14 +18,11 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
+import myst
 import pandas as pd
-from computed import NONE, NOT_THERE, logger, plain, role, table, texts
-from docutils.nodes import Node
-from docutils.parsers.rst import directives
 from sphinx.application import Sphinx
-from sphinx.util.docutils import SphinxDirective
 
 from softwave_min.paper.claims import MINUS, data_entry
 
@@ -40,7 +35,7 @@ def cell(path: Path, row: str, column: str) -> str:
     LookupError
         If there is no such column, or not exactly one such row.
     """
-    found = texts(path)
+    found = myst.texts(path)
     _check_columns(found, [column])
     key = row.split("/")
     found = found[(found.iloc[:, : len(key)] == key).all(axis=1)]
@@ -72,57 +67,39 @@ def _parameter(_: Path, text: str) -> tuple[str, str]:
     return formatted(data_entry(file, name), specification), ""
 
 
-class TableDirective(SphinxDirective):
-    """Shows a file of the project as a table."""
-
-    required_arguments = 1
-    has_content = True
-    option_spec: ClassVar[dict[str, Any]] = {
-        "caption": directives.unchanged_required,
-        "where": directives.unchanged_required,
-        "name": directives.unchanged_required,
-    }
-
-    def run(self) -> list[Node]:
-        """Build the table; warn where a part of it is missing."""
-        path = Path(self.env.srcdir).parent / self.arguments[0]
-        try:
-            headings, rows = self._entries(path) if path.suffix == ".json" else self._rows(path)
-        except NOT_THERE as error:
-            logger.warning("quoted-table: %s", error, location=self.get_location())
-            return []
-        cells = [[plain(text) for text in row] for row in (headings, *rows)]
-        options = {"title": self.options.get("caption", ""), "name": self.options.get("name", "")}
-        return self.parse_text_to_nodes(table(cells[0], cells[1:], **options))
-
-    def _rows(self, path: Path) -> tuple[list[str], list[list[str]]]:
-        """Cells of a CSV table; a dash stands for an empty one."""
-        columns = [tuple(part.strip() for part in line.split("|")) for line in self.content]
-        kept, _, value = self.options.get("where", "").partition("=")
-        found = texts(path)
-        _check_columns(found, [*(name for name, _, _ in columns), *([kept] if kept else [])])
-        found = found[found[kept] == value] if kept else found
-        if found.empty:
-            raise LookupError(f"no row of {path.name} {self.options.get('where', '')}")
-        rows = [
-            [formatted(line[name], how) if line[name] else NONE for name, _, how in columns]
-            for line in found.to_dict("records")
-        ]
-        return [heading for _, heading, _ in columns], rows
-
-    def _entries(self, path: Path) -> tuple[list[str], list[list[str]]]:
-        """Entries of a flat JSON file."""
+def quoted_table(
+    results: Path, file: str, columns: list[str], caption: str = "", where: str = "", **named: str
+) -> str:
+    """A file of the project as a table; a dash stands for an empty cell."""
+    path = results.parents[1] / file
+    if path.suffix == ".json":
         yes_or_no = {True: "yes", False: "no"}
-        found = json.loads(path.read_text(encoding="utf-8"))
-        return ["", ""], [
-            [name, yes_or_no[value] if isinstance(value, bool) else str(value)]
-            for name, value in found.items()
-        ]
+        entries = json.loads(path.read_text(encoding="utf-8")).items()
+        rows = [[n, yes_or_no[v] if isinstance(v, bool) else str(v)] for n, v in entries]
+        return _table((), rows, caption, **named)
+    named_columns = [[part.strip() for part in line.split("|")] for line in columns]
+    kept, _, value = where.partition("=")
+    found = myst.texts(path)
+    _check_columns(found, [*(name for name, _, _ in named_columns), *([kept] if kept else [])])
+    found = found[found[kept] == value] if kept else found
+    if found.empty:
+        raise LookupError(f"no row of {path.name} {where}")
+    rows = [
+        [formatted(line[name], how) if line[name] else myst.NONE for name, _, how in named_columns]
+        for line in found.to_dict("records")
+    ]
+    return _table([heading for _, heading, _ in named_columns], rows, caption, **named)
+
+
+def _table(headings: Sequence[str], rows: list[list[str]], caption: str, **named: str) -> str:
+    cells = [[myst.plain(text) for text in row] for row in rows]
+    return myst.table([myst.plain(text) for text in headings], cells, caption, **named)
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
     """Register with Sphinx."""
-    app.add_role("value", role(_value))
-    app.add_role("parameter", role(_parameter))
-    app.add_directive("quoted-table", TableDirective)
+    app.add_role("value", myst.role(_value))
+    app.add_role("parameter", myst.role(_parameter))
+    table = myst.directive(quoted_table, 1, "caption", "name", "where", content=True)
+    app.add_directive("quoted-table", table)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

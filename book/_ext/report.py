@@ -13,30 +13,21 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
+import myst
 from claims import claim_link, evidence, interval, judged, verdict_mark, with_unit
-from computed import NONE, aside, bullets, directive, plain, rounded, table, target
 from open_points import effects, point_link
 from sphinx.application import Sphinx
 
 from softwave_min.paper.claims import Claim
 from softwave_min.paper.open_points import OpenPoint, open_points
 from softwave_min.paper.queries import Measured
-from softwave_min.paper.verdicts import FAILED
+from softwave_min.paper.verdicts import FAILED, Verdict
 from softwave_min.parameters import ParameterSet, parameter_set
 from softwave_min.runs.store import Store
 from softwave_min.studies.ranges import OpenValue, open_values
 
-VERDICTS = (
-    "reproduced",
-    "regenerated",
-    "supported",
-    "trend reproduced",
-    "not reproduced",
-    "not supported",
-    "not decidable",
-)
 HOLD = ("reproduced", "supported", "trend reproduced")
 """Verdicts of what agrees, apart from artefacts."""
 CONVERGED = "CONVERGED"
@@ -49,9 +40,9 @@ MOST = 8
 
 def _verdicts(results: Path) -> str:
     count = Counter((row.kind, row.verdict) for row, _, _ in judged(results))
-    used = [one for one in VERDICTS if any(one == verdict for _, verdict in count)]
+    used = [one for one in get_args(Verdict) if any(one == verdict for _, verdict in count)]
     kinds = list(dict.fromkeys(kind for kind, _ in count))
-    rows = [[kind, *(str(count[kind, one] or NONE) for one in used)] for kind in kinds]
+    rows = [[kind, *(str(count[kind, one] or myst.NONE) for one in used)] for kind in kinds]
     sums = [str(sum(count[kind, one] for kind in kinds)) for one in used]
     return _table(["Kind", *map(verdict_mark, used)], [*rows, ["all", *sums]])
 
@@ -60,10 +51,10 @@ def _headline(results: Path) -> str:
     rows = [
         [
             claim_link(row),
-            plain(claim.statement),
+            myst.plain(claim.statement),
             with_unit(row.paper_value, row),
             with_unit(row.our_value, row),
-            plain(interval(row)) or NONE,
+            myst.plain(interval(row)) or myst.NONE,
             verdict_mark(row.verdict),
         ]
         for row, claim, _ in judged(results)
@@ -73,8 +64,8 @@ def _headline(results: Path) -> str:
 
 
 def _agreement(results: Path) -> str:
-    return bullets(
-        f"{claim_link(row)} {plain(claim.statement)} {_size(row, claim)}"
+    return myst.bullets(
+        f"{claim_link(row)} {myst.plain(claim.statement)} {_size(row, claim)}"
         for row, claim, _ in judged(results)
         if row.verdict in HOLD and claim.kind != "artefact"
     )
@@ -83,7 +74,7 @@ def _agreement(results: Path) -> str:
 def _size(row: Any, claim: Claim) -> str:
     """Our number beside the paper's, or else the verdict where it holds in part alone."""
     if claim.kind != "number":
-        return aside("(trend reproduced)") if row.verdict == "trend reproduced" else ""
+        return myst.aside("(trend reproduced)") if row.verdict == "trend reproduced" else ""
     ours = Measured(float(row.our_value), *(float(one or "nan") for one in (row.low, row.high)))
     wide = ", by an interval that is wider than the tolerance" * claim.in_wide_interval(ours)
     return f"[Here {with_unit(row.our_value, row)}{wide}.]{{.claim-note}}"
@@ -101,15 +92,15 @@ def _disagreement(results: Path) -> str:
     for group in groups.values():
         row, _, reason = group[0]
         parts += [
-            bullets(_failed(row, claim) for row, claim, _ in group),
-            f"> {plain(row.why)}\n>\n> {evidence(reason)}",
+            myst.bullets(_failed(row, claim) for row, claim, _ in group),
+            f"> {myst.plain(row.why)}\n>\n> {evidence(reason)}",
         ]
     return "\n\n".join(parts) or "Nothing."
 
 
 def _failed(row: Any, claim: Claim) -> str:
     here = f" Here {with_unit(row.our_value, row)}." if claim.kind == "number" else ""
-    return f"{claim_link(row)} {plain(claim.statement)}{here} {verdict_mark(row.verdict)}"
+    return f"{claim_link(row)} {myst.plain(claim.statement)}{here} {verdict_mark(row.verdict)}"
 
 
 # --- what is open -----------------------------------------------------------------------
@@ -132,7 +123,12 @@ def _what_matters(results: Path, points: Mapping[str, OpenPoint]) -> str:
         return "What each of them does to the numbers is not among the results."
     first = sorted(times, key=lambda name: times[name], reverse=True)[:MOST]
     rows = [
-        [point_link(name), plain(points[name].says), _taken(points[name]), _multiple(times[name])]
+        [
+            point_link(name),
+            myst.plain(points[name].says),
+            _taken(points[name]),
+            _multiple(times[name]),
+        ]
         for name in first
     ]
     return (
@@ -143,7 +139,7 @@ def _what_matters(results: Path, points: Mapping[str, OpenPoint]) -> str:
 
 
 def _taken(point: OpenPoint) -> str:
-    return plain(point.readings[point.choice - 1])
+    return myst.plain(point.readings[point.choice - 1])
 
 
 def measured_times(results: Path) -> dict[str, float]:
@@ -167,10 +163,10 @@ def _wanted(results: Path) -> str:
     rows = [
         [
             point_link(gap.id),
-            plain(gap.says),
-            [plain(_value(one, chosen)) for one in values if one.ambiguity == gap.id]
+            myst.plain(gap.says),
+            [myst.plain(_value(one, chosen)) for one in values if one.ambiguity == gap.id]
             or _taken(gap),
-            _multiple(times[gap.id]) if gap.id in times else NONE,
+            _multiple(times[gap.id]) if gap.id in times else myst.NONE,
         ]
         for gap in gaps
     ]
@@ -182,9 +178,9 @@ def _value(value: OpenValue, chosen: ParameterSet) -> str:
     section, _, name = value.field.partition(".")
     found = getattr(getattr(chosen, section, None), name, ())
     several = found if isinstance(found, tuple) else (found,)
-    here = ", ".join(dict.fromkeys(rounded(one) for one in several))
+    here = ", ".join(dict.fromkeys(myst.rounded(one) for one in several))
     unit = "" if value.unit == "-" else f" {value.unit}"
-    ends = f"{rounded(value.low)} to {rounded(value.high)}{unit}"
+    ends = f"{myst.rounded(value.low)} to {myst.rounded(value.high)}{unit}"
     return f"{value.symbol}: {here} ({ends})" if here else f"{value.symbol}: {ends}"
 
 
@@ -211,11 +207,11 @@ def _experiments(results: Path) -> str:
         failed = solves.total() - solves[CONVERGED]
         rows.append(
             [
-                target(f"experiment-{name}", f"`{name}`"),
-                plain(written["title"]),
+                myst.target(f"experiment-{name}", f"`{name}`"),
+                myst.plain(written["title"]),
                 str(len(runs)),
                 _duration(sum(run["seconds"] for run in runs)),
-                f"{failed} of {solves.total()}" if solves else NONE,
+                f"{failed} of {solves.total()}" if solves else myst.NONE,
             ]
         )
     return _table(("Experiment", "What", "Runs", "Processor time", "Solves not converged"), rows)
@@ -242,7 +238,10 @@ def _environment(results: Path) -> str:
         }
         for name, what in said.items():
             rows.setdefault(name, []).append(str(what))
-    found = [[plain(name), plain(", ".join(dict.fromkeys(what)))] for name, what in rows.items()]
+    found = [
+        [myst.plain(name), myst.plain(", ".join(dict.fromkeys(what)))]
+        for name, what in rows.items()
+    ]
     return _table((), found)
 
 
@@ -259,7 +258,7 @@ PARTS: Mapping[str, Callable[[Path], str]] = {
 
 
 def _table(headings: Any, rows: Any) -> str:
-    return table(headings, rows, class_="report")
+    return myst.table(headings, rows, class_="report")
 
 
 def report(results: Path, part: str) -> str:
@@ -269,5 +268,5 @@ def report(results: Path, part: str) -> str:
 
 def setup(app: Sphinx) -> dict[str, Any]:
     """Register with Sphinx."""
-    app.add_directive("report", directive(report, arguments=1))
+    app.add_directive("report", myst.directive(report, arguments=1))
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -49,9 +49,9 @@ DIGITS = 6
 
 Verdict = Literal[
     "reproduced",
-    "trend reproduced",
     "regenerated",
     "supported",
+    "trend reproduced",
     "not reproduced",
     "not supported",
     "not decidable",

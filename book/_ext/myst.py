@@ -1,8 +1,9 @@
 """What the extensions share: directives and roles that are functions, and the MyST they write.
 
-A directive is a function of the results folder, and of the directive's arguments, that returns
-MyST, which is then parsed where the directive stands. A role is one that returns a quantity and
-the words after it. What they cannot find is a warning, and a warning fails the build.
+A directive is a function of the results folder and of the directive's argument, content and
+options that returns MyST, which is then parsed where the directive stands. A role is one that
+returns a quantity and the words after it. What they cannot find is a warning, and a warning
+fails the build.
 """
 
 from __future__ import annotations
@@ -10,11 +11,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Any, ClassVar, Protocol
 
 import pandas as pd
 from docutils import nodes
 from docutils.nodes import Node, system_message
+from docutils.parsers.rst import directives
 from sphinx.util import logging
 from sphinx.util.docutils import SphinxDirective, SphinxRole
 
@@ -32,15 +34,20 @@ Cell = str | Sequence[str]
 """MyST of a table's cell; of several, each is a paragraph."""
 
 
-def directive(write: Callable[..., str], arguments: int = 0) -> type[SphinxDirective]:
-    """A directive that shows the MyST which a function of results and arguments writes."""
+def directive(
+    write: Callable[..., str], arguments: int = 0, *options: str, content: bool = False
+) -> type[SphinxDirective]:
+    """A directive that shows the MyST which a function writes."""
 
     class Computed(SphinxDirective):
         required_arguments = arguments
+        has_content = content
+        option_spec: ClassVar[Any] = dict.fromkeys(options, directives.unchanged_required)
 
         def run(self) -> list[Node]:
+            given = [*self.arguments, *([list(self.content)] if content else [])]
             try:
-                text = write(Path(self.env.srcdir, "results"), *self.arguments)
+                text = write(Path(self.env.srcdir, "results"), *given, **self.options)
             except NOT_THERE as error:
                 logger.warning("%s: %s", self.name, error, location=self.get_location())
                 return []
@@ -77,7 +84,7 @@ def texts(path: Path) -> pd.DataFrame:
 
 def plain(text: str) -> str:
     """MyST that shows a text as it is, whatever characters it has."""
-    return re.sub(r"([!-/:-@\[-`{-~])", r"\\\1", " ".join(text.split(" ")).replace("\n", " "))
+    return re.sub(r"([!-/:-@\[-`{-~])", r"\\\1", text.replace("\n", " "))
 
 
 def classed(text: str, name: str) -> str:
@@ -146,7 +153,7 @@ def table(
     return "\n".join(
         [
             f"::::{{list-table}} {title}",
-            *(f":{name.rstrip('_')}: {value}" for name, value in settings.items() if value),
+            *(f":{name.rstrip('_')}: {value}" for name, value in settings.items()),
             "",
             *(_row(cells) for cells in lines),
             "::::",
