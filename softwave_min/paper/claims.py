@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterable
+from pathlib import Path
 from string import Formatter
 from typing import Annotated, Any, Literal, Self
 
@@ -18,10 +19,9 @@ from pydantic.dataclasses import dataclass
 
 from softwave_min.data import ParameterError, data_folder, read_toml
 from softwave_min.paper.queries import Measured, Query, Tables, tables_of
-from softwave_min.paper.tolerance import POINTS, SHARE
+from softwave_min.paper.tolerance import PERCENT, POINTS, SHARE
 from softwave_min.parameters import Real, validate
 
-PERCENT = "%"
 MINUS = "\N{MINUS SIGN}"
 NOT_COMPUTED = "(not computed)"
 """Stands in a reason for a number whose table is not there."""
@@ -259,6 +259,12 @@ def claims() -> tuple[Claim, ...]:
 def reasons() -> dict[str, Reason]:
     """Why claims are not reproduced, by the names that the claims give."""
     return read_claims().reason
+
+
+def missing_tables(root: Path, asked: Iterable[Claim] | None = None) -> list[str]:
+    """Tables that the claims rest on and that are not in a results folder."""
+    wanted = {table for claim in asked or claims() for table in claim.tables()}
+    return sorted(name for name in wanted if not (root / f"{name}.csv").is_file())
 
 
 def data_entry(file: str, name: str) -> Any:

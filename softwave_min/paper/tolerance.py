@@ -1,13 +1,14 @@
-"""How far a number may be off and still count as the paper's."""
+"""How far a number may be off from the paper's and still count as reproduced."""
 
 from __future__ import annotations
 
 SHARE = 0.15
-"""Of the paper's number; ..."""
+"""Largest tolerance of a number, as a share of the paper's; or, where that is wider, ..."""
 POINTS = 3.0
-"""... or, of a number in per cent, percentage points."""
+"""... in percentage points."""
+PERCENT = "%"
 
 
 def tolerance(paper: float, unit: str) -> float:
-    """The widest tolerance of a number, in its unit: the larger of the two."""
-    return max(SHARE * abs(paper), POINTS if unit == "%" else 0.0)
+    """Widest tolerance of one of the paper's numbers, in its ``unit``."""
+    return max(SHARE * abs(paper), POINTS if unit == PERCENT else 0.0)

@@ -28,18 +28,18 @@ import pandas as pd
 
 from softwave_min.paper.checks import FAILS, HOLDS, UNKNOWN, WEAKLY, Outcome, Sources, outcome
 from softwave_min.paper.claims import (
-    PERCENT,
     Claim,
     ClaimError,
     Kind,
     Reason,
     claims,
+    missing_tables,
     read_claims,
     reasons,
 )
 from softwave_min.paper.queries import Measured, Tables
+from softwave_min.paper.tolerance import PERCENT
 from softwave_min.parameters import ParameterSet
-from softwave_min.runs.identity import source_digest
 from softwave_min.runs.store import Store, table_text
 
 FOLDER = "claims"
@@ -193,12 +193,6 @@ def _judge(claim: Claim, sources: Sources) -> _Judged:
 # --- the table --------------------------------------------------------------------------
 
 
-def missing_tables(root: Path, asked: Sequence[Claim] | None = None) -> list[str]:
-    """Tables that the claims rest on and that are not in a results folder."""
-    wanted = {table for claim in asked or claims() for table in claim.tables()}
-    return sorted(name for name in wanted if not (root / f"{name}.csv").is_file())
-
-
 def evaluate(
     root: Path, parameters: ParameterSet, asked: Sequence[Claim] | None = None
 ) -> pd.DataFrame:
@@ -272,7 +266,6 @@ def write(table: pd.DataFrame, root: Path) -> Path:
     store.write_table(FOLDER, table)
     store.write_provenance(
         {
-            "source": source_digest(__name__),
             "tables": {
                 name: sha256(path.read_bytes()).hexdigest()
                 for name, path in paths.items()
