@@ -18,10 +18,10 @@ from tqdm import tqdm
 from softwave_min.data import ParameterError, data_folder
 from softwave_min.figures.files import draw_files
 from softwave_min.native import description
-from softwave_min.paper.claims import (
+from softwave_min.paper.claims import missing_tables
+from softwave_min.paper.verdicts import (
     are_fresh,
     evaluate,
-    missing_tables,
     summary,
     unexplained,
     verdicts_path,
