@@ -78,7 +78,7 @@ def _settled(table: pd.DataFrame, name: str) -> Drawing:
         ),
         alt=(
             f"{_panels_in_words(cells)} Ratios of the errors after the start, from "
-            f"{cells['middle'].min():.2f} to {cells['middle'].max():.2f}. "
+            f"{cells['median'].min():.2f} to {cells['median'].max():.2f}. "
             + failure_sentence(table)
         ),
     )
@@ -105,7 +105,7 @@ def _bars(cells: pd.DataFrame, *, quoted: bool) -> Figure:
     highest = cells["high"].max()
     top = max(highest, 1.0) if quoted else highest
     for letter, wave, axes in zip("abc", wave_cases().values(), panels, strict=True):
-        _panel(axes, cells.xs(wave.name), colours)
+        _panel(axes, cells[cells.index.get_level_values(0) == wave.name], colours)
         if quoted:
             _paper_marks(axes, wave.name)
         if top >= 1.0:
@@ -130,7 +130,7 @@ def _bars(cells: pd.DataFrame, *, quoted: bool) -> Figure:
 def _panel(axes: Axes, cells: pd.DataFrame, colours: Sequence[str]) -> None:
     """Bars by pose and height, their spread over the seas, and a cross where solves failed."""
     width = GROUP / len(colours)
-    for number, (colour, (_, rows)) in enumerate(zip(colours, cells.groupby(level=1), strict=True)):
+    for number, (colour, (_, rows)) in enumerate(zip(colours, cells.groupby(level=2), strict=True)):
         places = np.arange(len(rows)) + width * (number + 0.5) - GROUP / 2
         axes.bar(places, rows["median"], width, color=colour, edgecolor=INK, linewidth=0.4)
         if np.any(rows["high"] > rows["low"]):
