@@ -216,7 +216,7 @@ def _workspaces(
         for letter, segment in zip("ab", failed, strict=False)
     )
     shares = ", ".join(
-        f"{case.words}: {100 * areas.loc[name, 'share']:.0f} %"
+        f"{case.words}: {100 * float(areas['share'][name]):.0f} %"
         for name, case in cases.items()
         if name != INTACT
     )
