@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 
 from softwave_min.arm import Arm
 from softwave_min.experiments.closed_loop import TRANSIENT
-from softwave_min.experiments.star import CONTROLLERS, EXPERIMENT, STILL, choice
+from softwave_min.experiments.star import EXPERIMENT, choice
+from softwave_min.experiments.star_loops import STILL
 from softwave_min.experiments.star_path import star_vertices
+from softwave_min.figures.marks import failure_sentence, intervals, legend_above, seas_sentence
 from softwave_min.figures.style import BLUE, DASHES, GREY, INK, ORANGE, SKY, Drawing
 from softwave_min.parameters import ParameterSet
 from softwave_min.runs.store import Store
