@@ -242,17 +242,17 @@ def _multiple(times: float) -> str:
 
 
 def _wanted(page: ReportDirective) -> Iterator[Node]:
-    """What is missing: open values and gaps, those with the largest effect first."""
+    """What is missing: open parameters and gaps, those with the largest effect first."""
     data = page.source.parent / "data"
     times = measured_times(page.source)
     chosen = _toml(data / "parameters" / "calibrated.toml")
-    values = _toml(data / "studies" / "open_values.toml")["value"]
-    asked = {one["ambiguity"] for one in values}
+    values = _toml(data / "studies" / "plausible_ranges.toml")["range"]
+    asked = {one["open_point"] for one in values}
     gaps = [one for one in points(page.source) if one["kind"] == "gap" or one["id"] in asked]
     gaps.sort(key=lambda one: (-times.get(one["id"], -1.0), one["id"]))
     rows = []
     for gap in gaps:
-        own = [one for one in values if one["ambiguity"] == gap["id"]]
+        own = [one for one in values if one["open_point"] == gap["id"]]
         wanted = [_value(one, chosen) for one in own]
         effect = _multiple(times[gap["id"]]) if gap["id"] in times else NONE
         taken = [_text(gap["readings"][gap["choice"] - 1])]
@@ -261,7 +261,7 @@ def _wanted(page: ReportDirective) -> Iterator[Node]:
 
 
 def _value(value: Mapping[str, Any], chosen: Mapping[str, Any]) -> Node:
-    """An open value with its plausible range and what the calibrated set has."""
+    """An open parameter with its plausible range and what the calibrated set has."""
     section, _, name = value["field"].partition(".")
     found = chosen.get(section, {}).get(name)
     several = found if isinstance(found, list) else [found] * (found is not None)

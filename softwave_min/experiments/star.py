@@ -15,7 +15,7 @@ import pandas as pd
 from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass as validated
 
-from softwave_min.experiments.closed_loop import failed_solves, fallbacks, prepare
+from softwave_min.experiments.closed_loop import failed_solves, fallbacks, others, prepare
 from softwave_min.experiments.places import in_sea, realisations
 from softwave_min.experiments.star_loops import (
     METRICS,
@@ -29,10 +29,11 @@ from softwave_min.experiments.star_loops import (
 )
 from softwave_min.experiments.star_path import StarParameters
 from softwave_min.paper.cases import wave_cases
+from softwave_min.paper.numbers import CONTROLLER
 from softwave_min.parameters import ParameterSet, Positive, load_data
 from softwave_min.runs.experiment import Experiment, Run, RunArrays, Tables
 from softwave_min.runs.statistics import interval
-from softwave_min.simulation import CONTROLLERS, REFERENCE, root_mean_square_error
+from softwave_min.simulation import CONTROLLERS, root_mean_square_error
 
 Row = Mapping[str, Any]
 
@@ -105,7 +106,7 @@ def star_table(parameters: ParameterSet, arrays: RunArrays) -> pd.DataFrame:
                     "seed": seed,
                     "controller": name,
                     **measures(chosen.path, *tips, period),
-                    "paper": chosen.rmse.get(case) if name == "nmpc" else None,
+                    "paper": chosen.rmse.get(case) if name == CONTROLLER else None,
                     "solves_failed": failed_solves(found, name),
                     "fallbacks": fallbacks(found, name),
                 }
@@ -184,12 +185,11 @@ def _time_scales(parameters: ParameterSet, arrays: RunArrays) -> pd.DataFrame:
     chosen, calm = choice(), arrays[STILL]
     first = next(realisations(parameters))
     period = parameters.nmpc.control_period
-    others = [name for name in CONTROLLERS if name != REFERENCE]
     rows: list[Row] = []
     for case in chosen.rmse:
         peak_period = wave_cases()[case].peak_period
         found = arrays[_name(case, first)]
-        for name in others:
+        for name in others():
             inner = inner_loop_time(parameters, calm[f"{name}_q"][-1])
             closing = closing_time(calm[f"{name}_tip"] - calm[f"{name}_target"], period)
             drag, fluid, added = (

@@ -13,17 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softwave_min.arm import Arm
-from softwave_min.experiments.closed_loop import TRANSIENT
+from softwave_min.experiments.closed_loop import TRANSIENT, controllers
 from softwave_min.experiments.star_path import StarParameters, distance_to_star, star_path
 from softwave_min.experiments.zero_order_hold import hold_reference, simulate_with_hold
 from softwave_min.parameters import ParameterSet
-from softwave_min.simulation import (
-    CONTROLLERS,
-    ClosedLoop,
-    Scenario,
-    root_mean_square_error,
-    simulate,
-)
+from softwave_min.simulation import ClosedLoop, Scenario, root_mean_square_error, simulate
 from softwave_min.waves import Sea
 
 Floats = NDArray[np.float64]
@@ -41,7 +35,7 @@ class StarRun:
 
     parameters: ParameterSet
     star: StarParameters
-    controllers: tuple[str, ...] = field(default_factory=lambda: tuple(CONTROLLERS))
+    controllers: tuple[str, ...] = field(default_factory=controllers)
 
 
 @dataclass(frozen=True)
