@@ -35,7 +35,7 @@ from pydantic.dataclasses import dataclass as validated
 from softwave_min.data import ParameterError, data_folder, read_toml
 from softwave_min.paper.queries import Entry, Measured, Query, Tables
 from softwave_min.parameters import NonNegative, ParameterSet, Real, validate
-from softwave_min.runs.identity import source_digest
+from softwave_min.runs.source import source_digest
 from softwave_min.runs.store import Store, table_text
 
 FOLDER = "claims"

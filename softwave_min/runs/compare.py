@@ -43,10 +43,25 @@ class _Column:
     tolerance: Tolerance
 
 
-def committed_table(place: Path, stem: str) -> pd.DataFrame | None:
+class NoRepositoryError(RuntimeError):
+    """There is no commit to compare with."""
+
+
+def require_commit() -> None:
+    """Make sure that there is a commit to compare with.
+
+    Raises
+    ------
+    NoRepositoryError
+        If git is not there, or no repository with a commit is.
+    """
+    if _git("rev-parse", "--verify", "HEAD") is None:
+        raise NoRepositoryError(f"{ROOT}: no commit to compare with: no git, or no repository")
+
+
+def committed_text(place: Path, stem: str) -> str | None:
     """Table in a folder below ``results/`` at the last commit, None where there is none."""
-    text = _git("show", f"HEAD:results/{place.as_posix()}/{stem}.csv")
-    return None if text is None else read_table(io.StringIO(text))
+    return _git("show", f"HEAD:results/{place.as_posix()}/{stem}.csv")
 
 
 def committed_stems(place: Path) -> list[str]:
@@ -65,6 +80,19 @@ def _git(*arguments: str) -> str | None:
     return answer.stdout
 
 
+def compare_texts(
+    ours: str, committed: str | None, tolerances: Mapping[str, Tolerance]
+) -> Comparison:
+    """Compare two tables as they are written; see `compare_tables`."""
+    if committed is None:
+        return Comparison(agrees=True, text="no committed table to compare with")
+    if ours == committed:
+        return Comparison(agrees=True, text=f"{len(ours.splitlines()) - 1} rows, identical")
+    return compare_tables(
+        read_table(io.StringIO(ours)), read_table(io.StringIO(committed)), tolerances
+    )
+
+
 def tolerances_of(tolerances: Mapping[str, Tolerance], stem: str) -> dict[str, Tolerance]:
     """An experiment's tolerances for the columns of one of its tables."""
     common = {key: value for key, value in tolerances.items() if "." not in key}
@@ -79,7 +107,7 @@ def tolerances_of(tolerances: Mapping[str, Tolerance], stem: str) -> dict[str, T
 
 def compare_tables(
     ours: pd.DataFrame,
-    committed: pd.DataFrame | None,
+    committed: pd.DataFrame,
     tolerances: Mapping[str, Tolerance] | None = None,
 ) -> Comparison:
     """Compare two tables cell by cell, each column within its tolerance.
@@ -87,8 +115,6 @@ def compare_tables(
     Where none is stated, text and whole numbers must be equal, and other numbers
     agree within `Tolerance()`.
     """
-    if committed is None:
-        return Comparison(agrees=True, text="no committed table to compare with")
     if shape := _other_shape(ours, committed):
         return Comparison(agrees=False, text=f"DIFFERS: {shape}")
     if ours.equals(committed):
@@ -167,8 +193,3 @@ def _label(table: pd.DataFrame, row: int, column: str) -> str:
     ][:LABELS]
     entries = ", ".join(f"{name} {table[name].iloc[row]}" for name in names)
     return f" ({entries})" if entries else ""
-
-
-def table_stems(folder: Path) -> list[str]:
-    """Stems of the tables in an experiment's folder."""
-    return sorted(path.stem for path in folder.glob("*.csv"))
