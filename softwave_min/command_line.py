@@ -11,10 +11,8 @@ from typing import NoReturn
 from softwave_min import commands
 from softwave_min.data import ParameterError
 from softwave_min.native import CompilerError
-from softwave_min.paper.claims import ClaimError
 from softwave_min.parameters import DEFAULT_SET, SET_NAMES
 from softwave_min.runs.compare import NoRepositoryError
-from softwave_min.runs.sweep import SweepError
 
 FAILED = 1
 USER_ERROR = 2
@@ -33,13 +31,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (ParameterError, OSError) as error:
         print(error, file=sys.stderr)
         return USER_ERROR
-    except (SweepError, CompilerError, ClaimError, NoRepositoryError) as error:
+    except RuntimeError as error:
+        if not isinstance(error, _failures()):
+            raise
         print(error, file=sys.stderr)
         return FAILED
     except KeyboardInterrupt:
         print("interrupted; finished runs are kept", file=sys.stderr)
         return INTERRUPTED
     return status
+
+
+def _failures() -> tuple[type[RuntimeError], ...]:
+    """What a line is enough for; imported where something failed, since it brings everything."""
+    from softwave_min.paper.claims import ClaimError  # noqa: PLC0415
+    from softwave_min.runs.sweep import SweepError  # noqa: PLC0415
+
+    return (SweepError, CompilerError, ClaimError, NoRepositoryError)
 
 
 class _Parser(argparse.ArgumentParser):

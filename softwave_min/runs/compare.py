@@ -7,14 +7,17 @@ import subprocess
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from softwave_min.data import ROOT
 from softwave_min.runs.experiment import Tolerance
 from softwave_min.runs.store import read_table
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 EXACT = Tolerance(0.0, 0.0)
 LABELS = 4
@@ -152,7 +155,7 @@ def _compare_columns(ours: pd.Series, committed: pd.Series, tolerance: Tolerance
         same = (ours == committed) | (ours.isna() & committed.isna())
         differs = ~same.to_numpy(bool)
         return _Column(differs, int(differs.argmax()), np.nan, EXACT)
-    whole = all(pd.api.types.is_integer_dtype(column) for column in (ours, committed))
+    whole = all(column.dtype.kind in "iu" for column in (ours, committed))
     tolerance = tolerance or (EXACT if whole else Tolerance())
     a, b = ours.to_numpy(float), committed.to_numpy(float)
     same = (a == b) | (np.isnan(a) & np.isnan(b))
@@ -166,7 +169,7 @@ def _compare_columns(ours: pd.Series, committed: pd.Series, tolerance: Tolerance
 
 
 def _is_number(column: pd.Series) -> bool:
-    return pd.api.types.is_numeric_dtype(column) and not pd.api.types.is_bool_dtype(column)
+    return column.dtype.kind in "iuf"
 
 
 def _said(ours: pd.DataFrame, committed: pd.DataFrame, name: str, column: _Column) -> str:
@@ -187,9 +190,7 @@ def _said(ours: pd.DataFrame, committed: pd.DataFrame, name: str, column: _Colum
 def _label(table: pd.DataFrame, row: int, column: str) -> str:
     """The row's text entries, which say what it is about."""
     names = [
-        str(name)
-        for name in table.columns
-        if name != column and not pd.api.types.is_float_dtype(table[name])
+        str(name) for name in table.columns if name != column and table[name].dtype.kind != "f"
     ][:LABELS]
     entries = ", ".join(f"{name} {table[name].iloc[row]}" for name in names)
     return f" ({entries})" if entries else ""

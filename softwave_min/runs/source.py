@@ -71,6 +71,7 @@ def code_of(text: str, suffix: str = ".py") -> str:
     return "\n".join(line.rstrip() for line in text.splitlines() if line.strip())
 
 
+@cache
 def _digest(path: Path) -> str:
     code = code_of(path.read_text(encoding="utf-8"), path.suffix)
     return hashlib.sha256(code.encode()).hexdigest()[:DIGITS]
@@ -81,6 +82,8 @@ _Place = tuple[int, int]
 
 
 def _comments(text: str) -> Iterator[tuple[_Place, _Place]]:
+    if "#" not in text:
+        return
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
         if token.type == tokenize.COMMENT:
             row, column = token.start
@@ -89,7 +92,7 @@ def _comments(text: str) -> Iterator[tuple[_Place, _Place]]:
 
 
 def _bare_strings(text: str) -> Iterator[tuple[_Place, _Place]]:
-    for node in ast.walk(ast.parse(text)):
+    for node in ast.walk(_parsed(text)):
         match node:
             case ast.Expr(value=ast.Constant(value=str())):
                 yield (
@@ -109,14 +112,23 @@ def _keeps_results(path: Path) -> bool:
     return path.parent == PACKAGE / "runs" and path.stem != "statistics"
 
 
+def imported_modules(text: str, module: str = "") -> frozenset[str]:
+    """Absolute names of all that a source may import; ``module`` resolves relative ones."""
+    return frozenset(_imports(_parsed(text), module))
+
+
 @cache
 def _imported_by(path: Path) -> frozenset[str]:
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    return frozenset(_imports(tree, ".".join(path.relative_to(ROOT).with_suffix("").parts)))
+    name = ".".join(path.relative_to(ROOT).with_suffix("").parts)  # with ``__init__``: for one dot
+    return imported_modules(path.read_text(encoding="utf-8"), name)
+
+
+@cache
+def _parsed(text: str) -> ast.Module:
+    return ast.parse(text)
 
 
 def _imports(tree: ast.AST, module: str) -> Iterator[str]:
-    """Absolute names; ``module`` is a file's dotted path, ``__init__`` included."""
     for node in ast.iter_child_nodes(tree):
         match node:
             case ast.If(test=ast.Name(id="TYPE_CHECKING")):  # never executed

@@ -71,6 +71,11 @@ class Store:
         """The tables as they were made here."""
         return Store("tables", self.folder / "runs")
 
+    def latest(self) -> Store:
+        """The tables made here where they are of the same inputs as those that are committed."""
+        here, committed = (one.provenance().get("identity", {}) for one in (self.made, self))
+        return self.made if here and here["tables"] == committed.get("tables") else self
+
     def run_path(self, run: Run) -> Path:
         """File of one run."""
         return self.folder / "runs" / f"{run.name}-{run.identity[:16]}.npz"
