@@ -16,7 +16,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from softwave_min.runs.identity import Identity, file_digests, locked
+from softwave_min.runs.identity import Identity, file_digests
 from softwave_min.runs.source import imported_modules, source_digests
 
 BOOK = Path(__file__).resolve().parent
@@ -39,6 +39,7 @@ def ingredients() -> Iterator[Path]:
         yield from (ROOT / "results").glob(f"*/{pattern}")
     for quoted in (ROOT / "data", ROOT / "bench" / "results"):
         yield from (path for path in quoted.rglob("*") if path.is_file())
+    yield ROOT / "environment.lock"
 
 
 def identity() -> Identity:
@@ -49,7 +50,6 @@ def identity() -> Identity:
         {
             "files": file_digests(ingredients(), ROOT / "results"),
             "source": source_digests(*sorted(called)),
-            "lock": locked(),
         }
     )
 

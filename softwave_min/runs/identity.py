@@ -124,9 +124,9 @@ def _versions() -> dict[str, str]:
 
 
 def locked(*names: str) -> dict[str, str]:
-    """Versions in ``environment.lock``: of the named distributions, or of all."""
+    """Versions in ``environment.lock`` of the named distributions, where they are in it."""
     versions = _versions()
-    return {name: versions[name] for name in sorted(names or versions) if name in versions}
+    return {name: versions[name] for name in sorted(names) if name in versions}
 
 
 def file_digests(paths: Iterable[Path], results: Path) -> dict[str, str]:
