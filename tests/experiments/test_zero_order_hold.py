@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from softwave_min.control.problem import Problem
 from softwave_min.control.preview import Forecast
+from softwave_min.control.problem import Problem
 from softwave_min.experiments.zero_order_hold import ZeroOrderHold, hold_flow, hold_reference
 
 
