@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softwave_min.arm import Arm, Structure, Values, mechanics
-from softwave_min.control.nmpc import Problem, Solution, Status
 from softwave_min.control.predictor import PeriodSteps
+from softwave_min.control.problem import Problem, Solution, Status
 from softwave_min.control.reference.interior_point import transition_function
 from softwave_min.parameters import NmpcParameters
 

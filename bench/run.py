@@ -43,7 +43,7 @@ from step_time import (
     table,
 )
 
-from softwave_min.control.nmpc import Status
+from softwave_min.control.problem import Status
 from softwave_min.control.reference.interior_point import InteriorPoint
 from softwave_min.experiments import example_case
 from softwave_min.native import compiler

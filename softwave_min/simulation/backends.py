@@ -11,7 +11,8 @@ from dataclasses import replace
 from importlib import import_module
 
 from softwave_min.control.compiled.engine import Engine
-from softwave_min.control.nmpc import GaussNewton, Solver
+from softwave_min.control.nmpc import GaussNewton
+from softwave_min.control.problem import Solver
 from softwave_min.native import compiler
 from softwave_min.parameters import ParameterSet
 from softwave_min.simulation.plant import CvodesPlant, ExtrapolatedPlant, Plant, RungeKuttaPlant

@@ -16,14 +16,14 @@ from book_pages import Page
 from softwave_min.data import ROOT
 from softwave_min.paper.claims import FAILED, claims
 from softwave_min.paper.open_points import open_points
-from softwave_min.studies.ranges import open_values
+from softwave_min.studies.ranges import plausible_ranges
 
 BOOK = ROOT / "book"
 ROWS = pd.read_csv(ROOT / "results" / "claims" / "claims.csv", keep_default_na=False)
 SHARED = {"C38", "C39"}
 """Two claims with one reason."""
 GAPS = {one.id for one in open_points() if one.kind == "gap"}
-ASKED = GAPS | {one.ambiguity for one in open_values()}
+ASKED = GAPS | {one.open_point for one in plausible_ranges()}
 EFFECTS = {"A26": 2.0, "A34": 9.0, "A25": 4.0, "A14": 0.5}
 PROVENANCE = {
     "experiment": "star",
@@ -170,9 +170,9 @@ def test_what_is_wanted_is_all_that_is_missing_in_the_order_of_its_effect(report
     assert found[: len(known)] == known
 
 
-def test_what_is_wanted_has_the_ranges_of_the_open_values(report):
+def test_what_is_wanted_has_the_plausible_ranges(report):
     text = section(report[0], "What it would take").text
-    for one in open_values():
+    for one in plausible_ranges():
         assert f"{one.low:.4g} to {one.high:.4g}" in text
 
 

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from softwave_min.arm import Arm
 from softwave_min.control.baseline import KinematicPlanner
-from softwave_min.control.nmpc import GaussNewton, Problem, Solution
+from softwave_min.control.nmpc import GaussNewton
+from softwave_min.control.problem import Problem, Solution
 from softwave_min.parameters import BaselineParameters, NmpcParameters
 
 Floats = NDArray[np.float64]

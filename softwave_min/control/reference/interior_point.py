@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from softwave_min.arm import Arm, Structure, Values
 from softwave_min.control.baseline import InnerLoop
-from softwave_min.control.nmpc import Problem, Solution, Status
 from softwave_min.control.predictor import PeriodSteps, stage_function
+from softwave_min.control.problem import Problem, Solution, Status
 from softwave_min.parameters import NmpcParameters
 
 Floats = NDArray[np.float64]
