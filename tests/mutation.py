@@ -22,7 +22,7 @@ import signal
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -37,21 +37,13 @@ from cosmic_ray.work_item import MutationSpec, TestOutcome, WorkerOutcome, WorkI
 from parso.tree import NodeOrLeaf
 
 ROOT = Path(__file__).resolve().parent.parent
+LOGS = ROOT / ".build" / "mutation"
+EXPLAINED = ROOT / "tests" / "mutation_survivors.md"
 PACKAGE = Path("softwave_min")
 ROOMS = {"arm": ["tests/arm"], "waves": ["tests/waves"]}
 """Folders of the package, each with the tests that answer for it."""
 PRELOADED = ("casadi", "hypothesis", "matplotlib.pyplot", "pandas", "pydantic", "scipy.optimize")
-PYTEST = [
-    "-x",
-    "--ff",
-    "--tb=no",
-    "-W",
-    "ignore",
-    "-o",
-    "addopts=",
-    "-p",
-    "_hypothesis_pytestplugin",
-]
+PYTEST = ["-x", "--ff", "--tb=no", "-Wignore", "-oaddopts=", "-p_hypothesis_pytestplugin"]
 STAGES = (
     ["--hypothesis-profile=mutation"],
     ["--hypothesis-profile=reproducible", "-m", "hypothesis"],
@@ -148,10 +140,10 @@ def change(old: ast.AST, new: ast.AST) -> str | None:
     return None
 
 
-def mutants(root: Path, room: str) -> Iterator[WorkItem]:
+def mutants(room: str) -> Iterator[WorkItem]:
     """All mutants of a room in the order of its lines, under names of which no two are alike."""
-    for module in sorted((root / PACKAGE / room).rglob("*.py")):
-        path, source = module.relative_to(root), module.read_text(encoding="utf-8")
+    for module in sorted((ROOT / PACKAGE / room).rglob("*.py")):
+        path, source = module.relative_to(ROOT), module.read_text(encoding="utf-8")
         nodes, tree, found = list(ast_nodes(get_ast(source))), ast.parse(source), []
         for operator in OPERATORS:
             made = get_operator(operator)()
@@ -166,38 +158,32 @@ def mutants(root: Path, room: str) -> Iterator[WorkItem]:
             yield WorkItem.single(name + (f" ({met[what]})" if met[what] > 1 else ""), spec)
 
 
-def digest(paths: Iterable[Path]) -> str:
-    """Hash of some files."""
-    return hashlib.sha256(b"".join(path.read_bytes() for path in sorted(paths))).hexdigest()[:12]
-
-
-def database(root: Path, room: str, *, again: bool) -> Path:
+def database(room: str, *, again: bool) -> Path:
     """Results of a room, under a name that says for which source and which tests.
 
     ``again`` takes over those of the same source with other tests.
     """
-    source = digest((root / PACKAGE / room).rglob("*.py"))
-    tests = [file for name in ROOMS[room] for file in (root / name).rglob("*.py")]
-    shared = [*(root / "tests" / "helpers").glob("*.py"), root / "tests" / "conftest.py"]
-    path = root / ".build" / "mutation" / f"{room}-{source}-{digest(tests + shared)}.db"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    former = sorted(
-        path.parent.glob(f"{room}-{source}-*.db"), key=lambda file: file.stat().st_mtime
-    )
+
+    def digest(*places: str) -> str:
+        files = sorted(file for place in places for file in (ROOT / place).rglob("*.py"))
+        return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:12]
+
+    source = f"{room}-{digest(f'{PACKAGE}/{room}')}"
+    path = LOGS / f"{source}-{digest(*ROOMS[room], 'tests/helpers')}.db"
+    LOGS.mkdir(parents=True, exist_ok=True)
+    former = sorted(LOGS.glob(f"{source}-*.db"), key=lambda file: file.stat().st_mtime)
     if again and former and not path.exists():
         former[-1].rename(path)
     return path
 
 
-def settle(root: Path, folder: str) -> None:
+def settle(folder: str) -> None:
     """Begin a process: its place is a copy of the project, in which it mutates."""
-    copy = Path(tempfile.mkdtemp(dir=folder))
+    place = Path(tempfile.mkdtemp(dir=folder))
     for name in COPIED:
-        if (root / name).is_dir():
-            shutil.copytree(root / name, copy / name)
-        else:
-            shutil.copy2(root / name, copy / name)
-    os.chdir(copy)
+        copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy2
+        copy(ROOT / name, place / name)
+    os.chdir(place)
 
 
 def fork_tests(room: str, stage: list[str], limit: int) -> tuple[int, float]:
@@ -246,7 +232,7 @@ def tested(room: str, limits: list[int], item: WorkItem) -> tuple[str, WorkResul
     return item.job_id, WorkResult(WorkerOutcome.NORMAL, "", TestOutcome.SURVIVED)
 
 
-def run(root: Path, room: str, todo: list[WorkItem], jobs: int) -> Iterator[tuple[str, WorkResult]]:
+def run(room: str, todo: list[WorkItem], jobs: int) -> Iterator[tuple[str, WorkResult]]:
     """Test mutants in copies of the project, several at a time, and say how it goes."""
     os.environ |= {"OPENBLAS_NUM_THREADS": "1", "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
     for library in PRELOADED:
@@ -254,7 +240,7 @@ def run(root: Path, room: str, todo: list[WorkItem], jobs: int) -> Iterator[tupl
     processes = multiprocessing.get_context("fork")
     with (
         tempfile.TemporaryDirectory(prefix="mutation-") as folder,
-        processes.Pool(jobs, settle, (root, folder)) as pool,
+        processes.Pool(jobs, settle, (folder,)) as pool,
     ):
         limits = pool.apply(unmutated, (room,))
         ended = pool.imap_unordered(partial(tested, room, limits), todo)
@@ -264,29 +250,18 @@ def run(root: Path, room: str, todo: list[WorkItem], jobs: int) -> Iterator[tupl
             yield name, result
 
 
-def examine(
-    root: Path, room: str, *, jobs: int = 1, only: str = "", again: bool = False
-) -> dict[str, WorkResult]:
-    """What became of the mutants with ``only`` in their names; ``again`` retries survivors."""
-    with use_db(database(root, room, again=again)) as db:
+def examine(room: str, asked: argparse.Namespace) -> dict[str, WorkResult]:
+    """What became of the mutants that are asked for; those not known yet are tested."""
+    with use_db(database(room, again=asked.survivors)) as db:
         if not db.num_work_items:
-            db.add_work_items(mutants(root, room))
-        known = {name for name, result in db.results if result.is_killed or not again}
-        chosen = [item for item in db.work_items if only in item.job_id]
+            db.add_work_items(mutants(room))
+        known = {name for name, result in db.results if result.is_killed or not asked.survivors}
+        chosen = [item for item in db.work_items if asked.only in item.job_id]
         if todo := [item for item in chosen if item.job_id not in known]:
-            for name, result in run(root, room, todo, jobs):
+            for name, result in run(room, todo, asked.jobs):
                 db.set_result(name, result)
         results = dict(db.results)
         return {item.job_id: results[item.job_id] for item in chosen}
-
-
-def open_ends(results: dict[str, WorkResult], reasons: set[str]) -> list[str]:
-    """Survivors without an explanation, and explanations of what does not survive."""
-    alive = {name for name, result in results.items() if not result.is_killed}
-    return [
-        *(f"survives without an explanation: `{name}`" for name in sorted(alive - reasons)),
-        *(f"explained, but does not survive: `{name}`" for name in sorted(reasons - alive)),
-    ]
 
 
 def main() -> int:
@@ -302,18 +277,20 @@ def main() -> int:
     )
     asked = parser.parse_args()
     os.nice(10)
-    lines = (ROOT / "tests" / "mutation_survivors.md").read_text(encoding="utf-8").splitlines()
+    lines = EXPLAINED.read_text(encoding="utf-8").splitlines()
     reasons = {line[3:].split("`")[0] for line in lines if line.startswith("- `")}
-    left = []
+    surprises = 0
     for room in [asked.room] if asked.room else ROOMS:
-        known = examine(ROOT, room, jobs=asked.jobs, only=asked.only, again=asked.survivors)
-        own = {name for name in reasons if name.startswith(f"{room}/") and asked.only in name}
-        killed = sum(result.is_killed for result in known.values())
+        known = examine(room, asked)
+        alive = {name for name, result in known.items() if not result.is_killed}
         late = sum(result.output == LATE for result in known.values())
-        print(f"{room}: {killed} of {len(known)} killed, {late} of them by the time limit")
-        left += open_ends(known, own)
-    print(*left, sep="\n")
-    return 1 if left else 0
+        print(f"{room}: {len(known) - len(alive)} of {len(known)} killed, {late} by the time limit")
+        own = {name for name in reasons if name.startswith(f"{room}/") and asked.only in name}
+        for name in sorted(alive ^ own):
+            fault = "survives without an explanation" if name in alive else "does not survive"
+            print(f"{fault}: `{name}`")
+        surprises += len(alive ^ own)
+    return 1 if surprises else 0
 
 
 if __name__ == "__main__":
