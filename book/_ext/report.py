@@ -26,7 +26,7 @@ from softwave_min.paper.queries import Measured
 from softwave_min.paper.verdicts import FAILED, Verdict
 from softwave_min.parameters import ParameterSet, parameter_set
 from softwave_min.runs.store import Store
-from softwave_min.studies.ranges import OpenValue, open_values
+from softwave_min.studies.ranges import PlausibleRange, plausible_ranges
 
 HOLD = ("reproduced", "supported", "trend reproduced")
 """Verdicts of what agrees, apart from artefacts."""
@@ -155,16 +155,16 @@ def _multiple(times: float) -> str:
 
 
 def _wanted(results: Path) -> str:
-    """What is missing: open values and gaps, those with the largest effect first."""
-    times, chosen, values = measured_times(results), parameter_set("calibrated"), open_values()
-    asked = {one.ambiguity for one in values}
+    """What is missing: open parameters and gaps, those with the largest effect first."""
+    times, chosen, values = measured_times(results), parameter_set("calibrated"), plausible_ranges()
+    asked = {one.open_point for one in values}
     gaps = [one for one in open_points() if one.kind == "gap" or one.id in asked]
     gaps.sort(key=lambda one: (-times.get(one.id, -1.0), one.id))
     rows = [
         [
             point_link(gap.id),
             myst.plain(gap.says),
-            [myst.plain(_value(one, chosen)) for one in values if one.ambiguity == gap.id]
+            [myst.plain(_value(one, chosen)) for one in values if one.open_point == gap.id]
             or _taken(gap),
             _multiple(times[gap.id]) if gap.id in times else myst.NONE,
         ]
@@ -173,8 +173,8 @@ def _wanted(results: Path) -> str:
     return _table(("Point", "What is not stated", "Assumed here", "Effect"), rows)
 
 
-def _value(value: OpenValue, chosen: ParameterSet) -> str:
-    """An open value with its plausible range and what the calibrated set has."""
+def _value(value: PlausibleRange, chosen: ParameterSet) -> str:
+    """An open parameter with its plausible range and what the calibrated set has."""
     section, _, name = value.field.partition(".")
     found = getattr(getattr(chosen, section, None), name, ())
     several = found if isinstance(found, tuple) else (found,)

@@ -1,6 +1,6 @@
 """The measured effect of every other reading of the paper on its headline numbers.
 
-Each switch of the register gives parameter sets that differ from the nominal one in that
+Each switch of an open point gives parameter sets that differ from the nominal one in that
 reading alone. Their headline numbers (`headlines`) are compared with the nominal ones in the
 same random seas with the same noise. A difference has to be seen beside two others: the scatter of
 the nominal numbers over seas, and the distance within which a claim of the paper counts as
@@ -20,20 +20,16 @@ from numpy.typing import NDArray
 
 from softwave_min.data import ParameterError
 from softwave_min.experiments.closed_loop import prepare
-from softwave_min.paper.cases import wave_cases
+from softwave_min.experiments.places import in_realisation
+from softwave_min.paper.cases import poses, wave_cases
 from softwave_min.paper.open_points import open_points
+from softwave_min.paper.tolerance import PERCENT, tolerance
 from softwave_min.parameters import ParameterSet
 from softwave_min.runs.experiment import Experiment, Run, RunArrays, Tables, Tolerance
 from softwave_min.runs.statistics import over_seas
-from softwave_min.studies.bounded_solves import with_bounded_solves
 from softwave_min.studies.calibration import search_settings
-from softwave_min.studies.headlines import (
-    Cells,
-    HeadlineRun,
-    attempted_numbers,
-    headline_cells,
-    headline_numbers,
-)
+from softwave_min.studies.cells import headline_cells, with_bounded_solves
+from softwave_min.studies.headlines import HeadlineRun, attempted_numbers, headline_numbers
 
 Floats = NDArray[np.float64]
 Numbers = Mapping[str, NDArray[Any]]
@@ -45,15 +41,13 @@ SCATTER_SEAS = 20
 """Seas in which the nominal set is run to see what another sea does."""
 SLOW = ("nmpc.solver", "simulation.integrator")
 """Fields whose other values find the same loops by a method that is up to several hundred times
-slower: they are measured in `BRIEF` and in the first sea."""
-BRIEF_CELLS = Cells((("P3", 3.0),), ("P3",), (3.0,), headline_cells().failed_segment)
+slower: they are measured in `BRIEF`, at `BRIEF_PLACE` and in the first sea."""
+BRIEF_PLACE = ("P3", 3.0)
+"""Pose, and significant height in m."""
 BRIEF = 1.5
 """Duration of their loops, in s: it has the start, where the solvers work most."""
 REALISATIONS = "sea.realisations"
 """Its reading is not another loop but the median over that many seas."""
-TOLERANCE_SHARE, TOLERANCE_POINTS = 0.15, 3.0
-"""Within this share of the paper's number, or so many points of per cent if that is more, a
-claim can count as reproduced."""
 GROUPS: Mapping[str, str] = {
     "largest_reduction": "points",
     "lowest_reduction": "points",
@@ -108,7 +102,7 @@ class _Effect:
 
 
 def alternatives(parameters: ParameterSet) -> list[Alternative]:
-    """Every other value of every switch of the register, applied to the parameters."""
+    """Every other value of every switch of the open points, applied to the parameters."""
     nominal = _one_sea(parameters)
     found = []
     for point in open_points():
@@ -142,13 +136,13 @@ def offsets(field: str) -> tuple[int, ...]:
 
 def loops(parameters: ParameterSet, field: str, offset: int) -> HeadlineRun:
     """The closed loops by which a parameter set is judged in one sea."""
-    sea = replace(parameters.sea, seed=parameters.sea.seed + offset)
-    preview = replace(parameters.preview, seed=parameters.preview.seed + offset)
-    found = with_bounded_solves(replace(parameters, sea=sea, preview=preview))
+    found, cells = with_bounded_solves(in_realisation(parameters, offset)), headline_cells()
     if field in SLOW:
         brief = replace(found.simulation, duration=min(BRIEF, found.simulation.duration))
-        return HeadlineRun(replace(found, simulation=brief), BRIEF_CELLS)
-    return HeadlineRun(found, headline_cells())
+        found = replace(found, simulation=brief)
+        place = (poses()[BRIEF_PLACE[0]], BRIEF_PLACE[1])
+        cells = replace(cells, grid=(place,), failures=(place,))
+    return HeadlineRun(found, cells)
 
 
 def runs(parameters: ParameterSet) -> Sequence[Run]:
@@ -217,9 +211,7 @@ def _scatter_table(found: Sequence[Numbers]) -> pd.DataFrame:
         low, median, high = over_seas(values)
         group = group_of(number)
         unit, paper = GROUPS.get(group, "points"), papers.get(number)
-        tolerance = TOLERANCE_SHARE * abs(paper or 0.0)
-        if unit == "points":
-            tolerance = max(tolerance, TOLERANCE_POINTS)
+        widest = tolerance(paper or 0.0, PERCENT if unit == "points" else unit)
         rows.append(
             {
                 "number": number,
@@ -231,7 +223,7 @@ def _scatter_table(found: Sequence[Numbers]) -> pd.DataFrame:
                 "median": median,
                 "high": high,
                 "scatter": (high - low) / 2,
-                "allowance": max((high - low) / 2, tolerance),
+                "allowance": max((high - low) / 2, widest),
             }
         )
     return pd.DataFrame(rows)

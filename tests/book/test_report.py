@@ -18,14 +18,14 @@ from softwave_min.paper.claims import claims
 from softwave_min.paper.open_points import open_points
 from softwave_min.paper.verdicts import FAILED
 from softwave_min.runs.store import results_folder
-from softwave_min.studies.ranges import open_values
+from softwave_min.studies.ranges import plausible_ranges
 
 BOOK = ROOT / "book"
 ROWS = pd.read_csv(results_folder() / "claims" / "claims.csv", keep_default_na=False)
 SHARED = {"C38", "C39"}
 """Two claims with one reason."""
 GAPS = {one.id for one in open_points() if one.kind == "gap"}
-ASKED = GAPS | {one.ambiguity for one in open_values()}
+ASKED = GAPS | {one.open_point for one in plausible_ranges()}
 EFFECTS = {"A26": 2.0, "A34": 9.0, "A25": 4.0, "A14": 0.5}
 PROVENANCE = {
     "experiment": "star",
@@ -87,22 +87,10 @@ def report(tmp_path_factory):
 def measured(tmp_path_factory):
     """The report with the effects of the open points."""
     columns = ("largest_reduction", "lowest_reduction", "rise", "star")
-    rows = [
-        {
-            "point": name,
-            "field": "a.b",
-            "status": "measured",
-            "times": times,
-            "matters": "yes",
-            "exceeds": "yes",
-        }
-        | {
-            key: 1.0
-            for one in columns
-            for key in (one, f"{one}_times", f"{one}_at", f"{one}_exceeds")
-        }
-        for name, times in EFFECTS.items()
-    ]
+    endings = ("", "_times", "_at", "_exceeds")
+    same = {f"{one}{ending}": 1.0 for one in columns for ending in endings}
+    same |= {"field": "a.b", "status": "measured", "matters": "yes", "exceeds": "yes"}
+    rows = [{"point": name, "times": times} | same for name, times in EFFECTS.items()]
     return built(tmp_path_factory.mktemp("measured"), judged(), pd.DataFrame(rows))[0]
 
 
@@ -178,9 +166,9 @@ def test_what_is_wanted_is_all_that_is_missing_in_the_order_of_its_effect(report
     assert found[: len(known)] == known
 
 
-def test_what_is_wanted_has_the_ranges_of_the_open_values(report):
+def test_what_is_wanted_has_the_plausible_ranges(report):
     text = words(section(report[0], "What it would take"))
-    for one in open_values():
+    for one in plausible_ranges():
         assert f"{one.low:.4g} to {one.high:.4g}" in text
 
 

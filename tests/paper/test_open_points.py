@@ -22,7 +22,7 @@ from softwave_min.paper.open_points import OpenPoint, Switch, open_points
 from softwave_min.parameters import SET_NAMES, parameter_set
 from softwave_min.runs.store import Store
 from softwave_min.studies.open_points import GROUPS
-from softwave_min.studies.ranges import GAIN, GRADATION, open_values
+from softwave_min.studies.ranges import GAIN, GRADATION, plausible_ranges
 
 POINTS = {one.id: one for one in open_points()}
 SWITCHES = [
@@ -83,9 +83,9 @@ def test_every_point_that_a_chapter_mentions_is_there():
     assert mentioned <= set(POINTS)
 
 
-def test_points_of_open_values_have_a_switch_for_each():
-    for value in open_values():
-        fields = {switch.field for switch in POINTS[value.ambiguity].switches}
+def test_points_with_a_plausible_range_have_a_switch_for_each():
+    for value in plausible_ranges():
+        fields = {switch.field for switch in POINTS[value.open_point].switches}
         assert (GAIN if value.field == GRADATION else value.field) in fields
 
 
