@@ -7,7 +7,7 @@ the builder's own words, and leaves exit status 1, if that fails.
 
 from __future__ import annotations
 
-import hashlib
+import json
 import os
 import re
 import shutil
@@ -16,10 +16,13 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+from softwave_min.runs.identity import Identity, file_digests
+from softwave_min.runs.source import imported_modules, source_digests
+
 BOOK = Path(__file__).resolve().parent
 ROOT = BOOK.parent
 PAGES = BOOK / "_build" / "html"
-STAMP = ROOT / ".build" / "book" / "fingerprint"
+STAMP = ROOT / ".build" / "book" / "made_of.json"
 BUILD = ("build", "-W", "-n", "--keep-going", "-q", str(BOOK))
 COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 MADE = {"_build", "__pycache__", ".ipynb_checkpoints"}
@@ -39,29 +42,29 @@ def ingredients() -> Iterator[Path]:
     yield ROOT / "environment.lock"
 
 
-def fingerprint() -> str:
-    """SHA-256 over the names and the contents of the ingredients."""
-    total = hashlib.sha256()
-    for path in sorted(ingredients()):
-        content = hashlib.sha256(path.read_bytes()).hexdigest()
-        total.update(f"{path.relative_to(ROOT).as_posix()} {content}\n".encode())
-    return total.hexdigest()
+def identity() -> Identity:
+    """What determines the pages: their ingredients, and the source that the extensions call."""
+    extensions = (path.read_text(encoding="utf-8") for path in (BOOK / "_ext").glob("*.py"))
+    called = {name for text in extensions for name in imported_modules(text)}
+    return Identity(
+        {
+            "files": file_digests(ingredients(), ROOT / "results"),
+            "source": source_digests(*sorted(called)),
+        }
+    )
 
 
 def is_current() -> bool:
     """Whether the pages were built from the ingredients as they are now."""
-    return (
-        (PAGES / "index.html").is_file()
-        and STAMP.is_file()
-        and STAMP.read_text(encoding="ascii") == fingerprint()
-    )
+    built = (PAGES / "index.html").is_file() and STAMP.is_file()
+    return built and not identity().changes(json.loads(STAMP.read_text(encoding="utf-8")))
 
 
 def build() -> int:
     """Build the pages from nothing; return the builder's exit status."""
     STAMP.unlink(missing_ok=True)
     shutil.rmtree(PAGES.parent, ignore_errors=True)
-    made_of = fingerprint()
+    made_of = identity()
     command = (str(Path(sys.executable).with_name("jupyter-book")), *BUILD)
     answer = subprocess.run(
         command,
@@ -75,7 +78,7 @@ def build() -> int:
         sys.stdout.write(COLOUR.sub("", answer.stdout))
         return 1
     STAMP.parent.mkdir(parents=True, exist_ok=True)
-    STAMP.write_text(made_of, encoding="ascii")
+    STAMP.write_text(json.dumps(made_of.parts, indent=1), encoding="utf-8")
     return 0
 
 

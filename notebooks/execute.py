@@ -1,40 +1,50 @@
-"""Execute the notebooks whose inputs changed, and write each one whole.
+"""Execute the notebooks whose inputs changed, and write those whose outputs did.
 
-``.build/notebooks/<stem>`` keeps the hash of a notebook's state: its code and outputs, the
-source, data and results that its code names, and the locked libraries. A notebook whose
-state is another, or that has none, is not current.
+``.build/notebooks/<stem>.json`` keeps what a notebook was executed with here: its code and
+outputs, the files of ``data/`` and ``results/`` that it read, the source that it loaded, and the
+locked libraries. Where outputs agree but for what may differ between two executions, the file
+stays as it is.
 """
 
 from __future__ import annotations
 
 import argparse
-import ast
 import json
 import os
+import re
 import sys
 import time
-import tomllib
-from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from configparser import ConfigParser
+from functools import cache, partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
-
-from IPython.core.inputtransformer2 import TransformerManager
 
 if TYPE_CHECKING:
     from nbformat import NotebookNode
 
-from softwave_min import parameters
-from softwave_min.data import PACKAGE, ROOT
-from softwave_min.runs.identity import digest, imported_modules, lock_digest, source_files
+from softwave_min.data import PACKAGE, READ_LOG, ROOT
+from softwave_min.runs.identity import (
+    NUMERICAL,
+    Identity,
+    digest,
+    file_digests,
+    locked,
+    named_digests,
+)
+from softwave_min.runs.source import source_digests
 from softwave_min.runs.store import results_folder, write_atomically
-from softwave_min.studies.catalogue import NAMES
 
 STAMPS = ROOT / ".build" / "notebooks"
+MAY_DIFFER = ROOT / "tests" / "nbval_sanitize.cfg"
+"""What of the outputs may differ without being wrong, for nbval as well."""
 CELL_TIMEOUT = 300
 """Longest that one cell may take, in s."""
 AT_ONCE = 2
 """Notebooks that are executed side by side."""
+LIBRARIES = (*NUMERICAL, "ipykernel", "matplotlib", "nbclient", "pandas")
+"""Distributions whose versions decide what a notebook shows."""
 UNDATED = {"SOURCE_DATE_EPOCH": "0"}
 """Keeps the day of its drawing out of a figure."""
 METADATA = {
@@ -42,27 +52,57 @@ METADATA = {
     "language_info": {"file_extension": ".py", "name": "python", "pygments_lexer": "ipython3"},
 }
 """The same on every machine and for every version of Python."""
-RECORDS = ("calibration", "sensitivity")
-"""Folders of results that are not an experiment's."""
 CELL_METADATA = ("mystnb", "tags")
 """What an author says of a cell; the rest is what an editor left behind."""
+NOTE_MODULES = f"""
+import os, sys
+with open(os.environ[{READ_LOG!r}], "a", encoding="utf-8") as log:
+    for name, module in sorted(sys.modules.items()):
+        if name.startswith("{PACKAGE.name}."):
+            print(module.__file__, file=log)
+"""
+"""A last cell, which is not kept: what a notebook loaded is what it rests on."""
 
 
 class ExecutionError(RuntimeError):
     """A cell failed, took too long or killed its kernel."""
 
 
-def is_current(path: Path, stamps: Path = STAMPS) -> bool:
-    """Whether the outputs in the file are what its inputs give."""
-    stamp = stamps / path.stem
-    try:
-        return stamp.is_file() and stamp.read_text(encoding="ascii") == state(path)
-    except SyntaxError:  # executing it will say where
-        return False
+def changes(path: Path, stamps: Path = STAMPS) -> list[str] | None:
+    """What is another than when the notebook was executed here; None if it never was."""
+    stamp = _stamp(path, stamps)
+    if not stamp.is_file():
+        return None
+    recorded = json.loads(stamp.read_text(encoding="utf-8"))
+    read = named_digests(recorded["parts"]["data"], results_folder())
+    return _identity(path, recorded["modules"], read).changes(recorded["parts"])
 
 
-def execute(path: Path, stamps: Path = STAMPS) -> float:
-    """Execute a notebook in its own folder and write it; return the seconds it took.
+def _stamp(path: Path, stamps: Path) -> Path:
+    return stamps / f"{path.stem}.json"
+
+
+def _identity(path: Path, modules: list[str], read: dict[str, str]) -> Identity:
+    """What determines a notebook's outputs, itself included, if it loads and reads these."""
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    code = [cell for cell in cells if cell["cell_type"] == "code"]
+    return Identity(
+        {
+            "cells": digest(
+                [[cell["source"], cell["metadata"].get("tags"), cell["outputs"]] for cell in code]
+            ),
+            "source": source_digests(*modules),
+            "data": read,
+            "lock": locked(*LIBRARIES),
+        }
+    )
+
+
+def execute(path: Path, stamps: Path = STAMPS, *, record: bool = False) -> float:
+    """Execute a notebook in its own folder; return the seconds it took.
+
+    It is written if its outputs are other ones; with ``record``, also if they only differ in
+    what may differ.
 
     Raises
     ------
@@ -70,32 +110,71 @@ def execute(path: Path, stamps: Path = STAMPS) -> float:
         With the cell that failed; the file is left as it was.
     """
     import nbformat  # here: to import these takes longer than to find all notebooks current
-    from nbclient import NotebookClient
-    from nbclient.exceptions import CellControlSignal
-    from traitlets.config import Config
 
     notebook = nbformat.read(path, as_version=4)
+    start = time.perf_counter()
+    with TemporaryDirectory() as folder:
+        log = Path(folder, "read")
+        _run(notebook, path.parent, log)
+        read = {Path(line) for line in log.read_text(encoding="utf-8").splitlines()}
+    seconds = time.perf_counter() - start
+    normalise(notebook)
+    content = (nbformat.writes(notebook).rstrip("\n") + "\n").encode()
+    former = nbformat.read(path, as_version=4)
+    if content != path.read_bytes() and (record or sanitised(notebook) != sanitised(former)):
+        write_atomically(path, content)
+    sources = {one for one in read if one.is_relative_to(PACKAGE) and one.suffix == ".py"}
+    modules = sorted(
+        ".".join(one.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+        for one in sources
+    )
+    identity = _identity(path, modules, file_digests(read - sources, results_folder()))
+    stamp = json.dumps({"modules": modules, "parts": identity.parts}, indent=1)
+    write_atomically(_stamp(path, stamps), stamp.encode())
+    return seconds
+
+
+def _run(notebook: NotebookNode, folder: Path, log: Path) -> None:
+    """Execute all cells; the log has the files that they read and the modules they loaded."""
+    from nbclient import NotebookClient
+    from nbclient.exceptions import CellControlSignal
+    from nbformat.v4 import new_code_cell
+    from traitlets.config import Config
+
     client = NotebookClient(
         notebook,
         config=Config(KernelManager={"transport_encryption": "auto"}),
         timeout=CELL_TIMEOUT,
         kernel_name=METADATA["kernelspec"]["name"],
-        resources={"metadata": {"path": str(path.parent)}},
+        resources={"metadata": {"path": str(folder)}},
         record_timing=False,
         coalesce_streams=True,
     )
-    start = time.perf_counter()
+    notebook.cells.append(new_code_cell(NOTE_MODULES))
     try:
-        client.execute(env={**os.environ, **UNDATED})
+        client.execute(env={**os.environ, **UNDATED, READ_LOG: str(log)})
     except (CellControlSignal, RuntimeError) as failure:
         raise ExecutionError(str(failure)) from None
-    seconds = time.perf_counter() - start
-    normalise(notebook)
-    content = (nbformat.writes(notebook).rstrip("\n") + "\n").encode()
-    if content != path.read_bytes():
-        write_atomically(path, content)
-    write_atomically(stamps / path.stem, state(path).encode())
-    return seconds
+    notebook.cells.pop()
+
+
+def sanitised(tree: Any) -> Any:
+    """A notebook, or a part of it, without what may differ between two executions."""
+    if isinstance(tree, dict):
+        return {key: sanitised(value) for key, value in tree.items()}
+    if isinstance(tree, list):
+        return [sanitised(value) for value in tree]
+    if isinstance(tree, str):
+        for pattern, replacement in _may_differ():
+            tree = pattern.sub(replacement, tree)
+    return tree
+
+
+@cache
+def _may_differ() -> list[tuple[re.Pattern[str], str]]:
+    config = ConfigParser(interpolation=None)
+    config.read(MAY_DIFFER, encoding="utf-8")
+    return [(re.compile(config[one]["regex"]), config[one]["replace"]) for one in config.sections()]
 
 
 def normalise(notebook: NotebookNode) -> None:
@@ -105,81 +184,13 @@ def normalise(notebook: NotebookNode) -> None:
         cell.metadata = {key: cell.metadata[key] for key in CELL_METADATA if key in cell.metadata}
 
 
-def state(path: Path) -> str:
-    """Hash over a notebook's code and outputs and all that its code rests on."""
-    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
-    cells = [cell for cell in cells if cell["cell_type"] == "code"]
-    code = "\n".join(plain_python("".join(cell["source"])) for cell in cells)
-    named = words(code)
-    experiments = [name for name in (*NAMES, *RECORDS) if name in named]
-    sources = source_files([*imported_modules(code), *experiment_modules(experiments)])
-    for source in sources:
-        # The parameters' own module names every field, and uses none.
-        if source.suffix == ".py" and source != Path(parameters.__file__):
-            named |= words(source.read_text(encoding="utf-8"))
-    return digest(
-        [[cell["source"], cell["metadata"].get("tags"), cell["outputs"]] for cell in cells],
-        [[file.name, file.read_text(encoding="utf-8")] for file in (*sources, Path(__file__))],
-        sorted(data(named)),
-        list(results(experiments)),
-        lock_digest(),
-    )
-
-
-def plain_python(cell: str) -> str:
-    """Source of a cell with its IPython magics turned into Python."""
-    return TransformerManager().transform_cell(cell)
-
-
-def words(code: str) -> set[str]:
-    """Attributes, strings and names of modules that occur in the code."""
-    found = {part for module in imported_modules(code) for part in module.split(".")}
-    for node in ast.walk(ast.parse(code)):
-        match node:
-            case ast.Attribute(attr=word) | ast.Constant(value=str(word)):
-                found.add(word)
-    return found
-
-
-def experiment_modules(names: Iterable[str]) -> Iterator[str]:
-    """Modules that the registry and the figures find by an experiment's name."""
-    for name in names:
-        yield f"{PACKAGE.name}.experiments.{name}"
-        yield f"{PACKAGE.name}.figures.{name}"
-
-
-def data(named: set[str]) -> Iterator[tuple[str, Any]]:
-    """What ``data/`` holds under the given names: fields of parameter sets, whole files else."""
-    folder = parameters.data_folder()
-    for path in sorted(path for path in folder.rglob("*") if path.is_file()):
-        place = path.relative_to(folder)
-        if place.parts[0] == "parameters" and path.stem in parameters.SET_NAMES:
-            sections = tomllib.loads(path.read_text(encoding="utf-8"))
-            for section in named & sections.keys():
-                fields = sections[section]
-                used = {field: fields[field] for field in fields if field in named}
-                yield f"{place.as_posix()} {section}", used
-        elif named & {*place.parts, path.stem}:
-            yield place.as_posix(), path.read_bytes().hex()
-
-
-def results(experiments: Iterable[str]) -> Iterator[tuple[str, str]]:
-    """Runs, by the identity in their file's name, and tables and figures of experiments."""
-    for name in experiments:
-        folder = results_folder() / name
-        for path in sorted(folder.glob("runs/*.npz")):
-            yield name, path.name
-        for path in sorted(path for path in folder.glob("*") if path.suffix in {".csv", ".svg"}):
-            yield path.name, path.read_text(encoding="utf-8")
-
-
-def report_execution(path: Path) -> bool:
+def report_execution(path: Path, *, record: bool) -> bool:
     """Execute a notebook unless it is current; print what happened; return whether it is now."""
-    if is_current(path):
+    if changes(path) == [] and not record:
         print(f"{path.stem}: up to date")
         return True
     try:
-        print(f"{path.stem}: executed in {execute(path):.1f} s", flush=True)
+        print(f"{path.stem}: executed in {execute(path, record=record):.1f} s", flush=True)
     except ExecutionError as failure:
         print(f"{path.stem}: failed\n{failure}", file=sys.stderr, flush=True)
         return False
@@ -187,29 +198,30 @@ def report_execution(path: Path) -> bool:
 
 
 def report_stale(path: Path) -> bool:
-    """Print whether a notebook, once executed here, is so no more; return whether it is well."""
-    if is_current(path) or not (STAMPS / path.stem).is_file():
-        return True
-    print(f"{path.stem}: stale; run 'make notebooks'", file=sys.stderr)
-    return False
+    """Print why a notebook, once executed here, is stale; return whether it is well."""
+    why = changes(path)
+    if why:
+        print(f"{path.stem}: stale: {', '.join(why)}; run 'make notebooks'", file=sys.stderr)
+    return not why
 
 
 def main() -> int:
     """Run the command line; the exit status is 1 if a notebook failed or is stale."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("stem", nargs="*", help="notebooks to look at; all if none is named")
-    parser.add_argument("--check", action="store_true", help="execute none; fail if one is stale")
+    manner = parser.add_mutually_exclusive_group()
+    manner.add_argument("--check", action="store_true", help="execute none; fail if one is stale")
+    manner.add_argument(
+        "--record", action="store_true", help="execute all, and write whatever differs"
+    )
     choice = parser.parse_args()
     paths = {path.stem: path for path in sorted(Path(__file__).parent.glob("*.ipynb"))}
     if unknown := [stem for stem in choice.stem if stem not in paths]:
         parser.error(f"no notebook {unknown[0]!r}; there are: {', '.join(paths)}")
-    chosen = [paths[stem] for stem in choice.stem or paths]
+    report = report_stale if choice.check else partial(report_execution, record=choice.record)
     with ThreadPoolExecutor(max_workers=AT_ONCE) as pool:
-        return (
-            0
-            if all(list(pool.map(report_stale if choice.check else report_execution, chosen)))
-            else 1
-        )
+        done = list(pool.map(report, [paths[stem] for stem in choice.stem or paths]))
+    return 0 if all(done) else 1
 
 
 if __name__ == "__main__":

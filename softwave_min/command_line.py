@@ -11,9 +11,8 @@ from typing import NoReturn
 from softwave_min import commands
 from softwave_min.data import ParameterError
 from softwave_min.native import CompilerError
-from softwave_min.paper.claims import ClaimError
 from softwave_min.parameters import DEFAULT_SET, SET_NAMES
-from softwave_min.runs.sweep import SweepError
+from softwave_min.runs.compare import NoRepositoryError
 
 FAILED = 1
 USER_ERROR = 2
@@ -32,13 +31,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (ParameterError, OSError) as error:
         print(error, file=sys.stderr)
         return USER_ERROR
-    except (SweepError, CompilerError, ClaimError) as error:
+    except RuntimeError as error:
+        if not isinstance(error, _failures()):
+            raise
         print(error, file=sys.stderr)
         return FAILED
     except KeyboardInterrupt:
         print("interrupted; finished runs are kept", file=sys.stderr)
         return INTERRUPTED
     return status
+
+
+def _failures() -> tuple[type[RuntimeError], ...]:
+    """What a line is enough for; imported where something failed, since it brings everything."""
+    from softwave_min.paper.claims import ClaimError  # noqa: PLC0415
+    from softwave_min.runs.sweep import SweepError  # noqa: PLC0415
+
+    return (SweepError, CompilerError, ClaimError, NoRepositoryError)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -61,7 +70,7 @@ def _parser() -> argparse.ArgumentParser:
         (
             commands.run,
             "compute what is missing or stale, with its figures",
-            (_names, _workers, _results),
+            (_names, _workers, _results, _manner),
         ),
         (commands.status, "say what is fresh and what is stale", (_names, _results)),
         (commands.figures, "draw every figure anew from the results", (_names, _results)),
@@ -137,6 +146,17 @@ def _results(parser: argparse.ArgumentParser) -> None:
         metavar="FOLDER",
         help="folder of the results (default: results/; for anything but the default set and "
         "its number of seas, a folder of its own in results/sets/)",
+    )
+
+
+def _manner(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--dry-run", action="store_true", help="say what is missing or stale, and why; no more"
+    )
+    parser.add_argument(
+        "--record",
+        action="store_true",
+        help="write the tables made here to be committed, even where the committed ones agree",
     )
 
 

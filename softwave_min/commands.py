@@ -1,4 +1,8 @@
-"""The commands: what each prints, and its exit status."""
+"""The commands: what each prints, and its exit status.
+
+What only some of them need is imported there: most often they find that nothing is to be done.
+"""
+# ruff: noqa: PLC0415
 
 from __future__ import annotations
 
@@ -6,7 +10,6 @@ import os
 import sys
 from argparse import Namespace
 from collections.abc import Sequence
-from concurrent.futures import BrokenExecutor, Future
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
@@ -18,15 +21,6 @@ from tqdm import tqdm
 from softwave_min.data import ParameterError, data_folder
 from softwave_min.figures.files import draw_files
 from softwave_min.native import description
-from softwave_min.paper.claims import missing_tables
-from softwave_min.paper.verdicts import (
-    are_fresh,
-    evaluate,
-    summary,
-    unexplained,
-    verdicts_path,
-    write,
-)
 from softwave_min.parameters import (
     DEFAULT_SET,
     SET_NAMES,
@@ -37,37 +31,27 @@ from softwave_min.parameters import (
 from softwave_min.runs.compare import (
     Comparison,
     committed_stems,
-    committed_table,
-    compare_tables,
-    table_stems,
+    committed_text,
+    compare_texts,
+    require_commit,
     tolerances_of,
 )
-from softwave_min.runs.executor import Cluster, Processes, Workers
+from softwave_min.runs.executor import Cluster, Executor, Processes
 from softwave_min.runs.experiment import Experiment
+from softwave_min.runs.plan import Freshness, Task
 from softwave_min.runs.store import Store, results_folder, table_text, write_atomically
-from softwave_min.runs.sweep import (
-    Freshness,
-    SweepError,
-    Swept,
-    compute_all,
-    figures_are_current,
-    figures_identity,
-    freshness,
-    tables_identity,
-)
 from softwave_min.studies.catalogue import NAMES, experiment
 
 SEARCH = "calibration"
 """Folder of its results."""
-Drawn = tuple[Store, ParameterSet, str]
-"""What figures are drawn of, and their identity."""
 
 
 @dataclass(frozen=True)
 class _Asked:
     """What a command line asks for."""
 
-    experiments: tuple[Experiment, ...]
+    names: tuple[str, ...]
+    """Of experiments."""
     by_name: bool
     parameters: ParameterSet
     place: Path
@@ -75,12 +59,12 @@ class _Asked:
     root: Path
     """The folder that stands for it."""
 
-    def store(self, one: Experiment) -> Store:
-        return Store(one.name, self.root)
+    def tasks(self, experiments: Sequence[Experiment]) -> list[Task]:
+        return [Task(one, self.parameters, Store(one.name, self.root)) for one in experiments]
 
     @property
-    def of_computed(self) -> list[tuple[Experiment, Store]]:
-        return [(one, self.store(one)) for one in self.computed]
+    def experiments(self) -> tuple[Experiment, ...]:
+        return tuple(experiment(name) for name in self.names)
 
     @property
     def not_waited_for(self) -> tuple[Experiment, ...]:
@@ -100,8 +84,11 @@ def _asked(options: Namespace) -> _Asked:
         label = f"{label}-{options.seeds}-seeds"
     place = Path() if label == DEFAULT_SET else Path("sets", label)
     names = getattr(options, "names", [])
+    for name in names:
+        if name not in NAMES:
+            raise ParameterError(f"no experiment {name!r}; there are: {', '.join(NAMES)}")
     return _Asked(
-        experiments=tuple(_experiment(name) for name in names or NAMES),
+        names=tuple(names or NAMES),
         by_name=bool(names),
         parameters=parameters,
         place=place,
@@ -119,14 +106,7 @@ def _parameters(name: str, file: Path | None) -> tuple[ParameterSet, str]:
     return parameters, file.stem
 
 
-def _experiment(name: str) -> Experiment:
-    try:
-        return experiment(name)
-    except KeyError as error:
-        raise ParameterError(error.args[0]) from None
-
-
-def _workers(options: Namespace) -> Workers:
+def _executor(options: Namespace) -> Executor:
     return (
         Cluster(options.scheduler)
         if options.scheduler
@@ -159,36 +139,25 @@ def _claims(ids: Sequence[str]) -> str:
 
 def run(options: Namespace) -> int:
     """Compute what is missing or stale, and draw its figures."""
+    from softwave_min.paper.claims import missing_tables
+    from softwave_min.runs.sweep import carry_out
+
     asked = _asked(options)
+    plan = asked.tasks(asked.computed)
+    if options.dry_run:
+        for task in plan:
+            print(task)
+        return 0
     failed = False
-    drawn: dict[str, tuple[Future[None], Drawn]] = {}
-    with _workers(options) as workers:
+    with _executor(options) as executor:
         _announce(options)
-        several = len(asked.computed) > 1
-        painters = workers if several and isinstance(workers, Processes) else Processes(1)
-        for swept in compute_all(asked.of_computed, asked.parameters, workers):
-            name = swept.experiment.name
-            if swept.failure:
-                failed = True
-                _say(swept.failure, sys.stderr)
-                continue
-            identity = figures_identity(swept.experiment, swept.identity)
-            store = asked.store(swept.experiment)
-            current = figures_are_current(store, identity)
-            if news := _news(swept) or "up to date" * current:
-                _say(f"{name}: {news}")
-            if not current:
-                given = (store, asked.parameters, identity)
-                drawn[name] = painters.submit(draw_files, *given), given
-        left = _stale(asked.not_waited_for, asked)
-        for name, (done, given) in drawn.items():
-            try:
-                done.result()
-            except BrokenExecutor:  # a run took its worker along
-                draw_files(*given)
-            _say(f"{name}: figures drawn")
-    for one in left:
-        print(f"{one.name}: stale; computed on request only: 'run {one.name}'")
+        for event in carry_out(plan, executor, draw_files, record=options.record):
+            failed |= event.failed
+            _say(event.text, sys.stderr if event.failed else sys.stdout)
+    for task in asked.tasks(asked.not_waited_for):
+        if task.freshness is Freshness.STALE:
+            name = task.experiment.name
+            print(f"{name}: stale; computed on request only: 'run {name}'")
     if not failed and not missing_tables(asked.root):
         _judge(asked)
     return 1 if failed else 0
@@ -199,27 +168,16 @@ def _announce(options: Namespace) -> None:
     print(f"controllers and plant: {where}", flush=True)
 
 
-def _news(swept: Swept) -> str:
-    count = swept.computed
-    return f"{count} runs computed in {swept.seconds:.1f} s" if count else ""
-
-
-def _say(text: str, stream: TextIO | None = None) -> None:
+def _say(text: str, stream: TextIO) -> None:
     """Print a line beside the progress bar, if there is one."""
     with tqdm.external_write_mode():
-        print(text, file=stream or sys.stdout, flush=True)
-
-
-def _stale(experiments: Sequence[Experiment], asked: _Asked) -> list[Experiment]:
-    return [
-        one
-        for one in experiments
-        if freshness(one, asked.parameters, asked.store(one)) is Freshness.STALE
-    ]
+        print(text, file=stream, flush=True)
 
 
 def _judge(asked: _Asked) -> None:
     """Judge the claims, and write that unless it is what was written."""
+    from softwave_min.paper.verdicts import evaluate, verdicts_path, write
+
     table, path = evaluate(asked.root, asked.parameters), verdicts_path(asked.root)
     if not path.is_file() or path.read_text(encoding="utf-8") != table_text(table):
         write(table, asked.root)
@@ -232,29 +190,32 @@ def _judge(asked: _Asked) -> None:
 def figures(options: Namespace) -> int:
     """Draw every figure anew from the runs that are here."""
     asked = _asked(options)
-    for one in asked.experiments:
-        found = freshness(one, asked.parameters, asked.store(one))
-        if one in asked.not_waited_for and found in {Freshness.MISSING, Freshness.COMMITTED}:
+    for task in asked.tasks(asked.experiments):
+        name, found = task.experiment.name, task.freshness
+        if task.experiment in asked.not_waited_for and found in {
+            Freshness.MISSING,
+            Freshness.COMMITTED,
+        }:
             continue
         if found is Freshness.MISSING:
-            raise ParameterError(f"{one.name}: nothing to draw; 'run {one.name}' computes it")
-        of_tables = tables_identity(one, asked.parameters)
-        identity = figures_identity(one, of_tables)
-        draw_files(asked.store(one), asked.parameters, identity)
-        print(f"{one.name}: figures drawn", flush=True)
+            raise ParameterError(f"{name}: nothing to draw; 'run {name}' computes it")
+        draw_files(task.store, asked.parameters)
+        print(f"{name}: figures drawn", flush=True)
     return 0
 
 
 def status(options: Namespace) -> int:
     """Say what is fresh and what is stale."""
+    from softwave_min.paper.verdicts import are_fresh, verdicts_path
+
     asked = _asked(options)
     stale = []
-    for one in asked.experiments:
-        found = freshness(one, asked.parameters, asked.store(one))
-        print(f"{one.name}: {found.value}")
-        stale += [one] * (found is Freshness.STALE)
+    for task in asked.tasks(asked.experiments):
+        found = task.freshness
+        print(f"{task.experiment.name}: {found.value}")
+        stale += [task] * (found is Freshness.STALE)
     if stale:
-        named = " ".join(one.name for one in stale if one.on_request)
+        named = " ".join(task.experiment.name for task in stale if task.experiment.on_request)
         remedy = "run 'make all'" + f", and 'run {named}' of this command" * bool(named)
         print(f"{len(stale)} of the results are stale: {remedy}", file=sys.stderr)
     elif verdicts_path(asked.root).is_file() and not are_fresh(asked.root, asked.parameters):
@@ -266,6 +227,8 @@ def status(options: Namespace) -> int:
 
 def claims(options: Namespace) -> int:
     """Judge the paper's claims by the tables that are here."""
+    from softwave_min.paper.verdicts import evaluate, summary, unexplained, write
+
     asked = _asked(options)
     table = evaluate(asked.root, asked.parameters)
     path = write(table, asked.root)
@@ -277,15 +240,14 @@ def claims(options: Namespace) -> int:
 
 
 def compare(options: Namespace) -> int:
-    """Compare the tables with the committed ones."""
+    """Compare the tables with the committed ones: those that were made here, if any were."""
     asked = _asked(options)
+    if options.strict:
+        require_commit()
     differ = 0
-    for one in asked.experiments:
-        store = asked.store(one)
-        for stem in table_stems(store.folder):
-            outcome = _compared(one, stem, store, asked.place)
-            _report(one, stem, outcome)
-            differ += not outcome.agrees
+    for name in asked.names:
+        store = Store(name, asked.root).latest()
+        differ += _compared(name, store.stems(), store, asked.place)
     return 1 if options.strict and differ else 0
 
 
@@ -294,14 +256,13 @@ def compare(options: Namespace) -> int:
 
 def calibrate(options: Namespace) -> int:
     """Search for the parameter set that comes closest to the paper's numbers."""
-    # Imported here, as is what is below for one command alone.
-    from softwave_min.studies.calibration import best_of, best_set_text, search_settings  # noqa: PLC0415
-    from softwave_min.studies.calibration import calibrate as search_for_set  # noqa: PLC0415
+    from softwave_min.studies.calibration import best_of, best_set_text, search_settings
+    from softwave_min.studies.calibration import calibrate as search_for_set
 
     store = Store(SEARCH, options.results.resolve() if options.results else results_folder())
-    with _workers(options) as workers:
+    with _executor(options) as executor:
         _announce(options)
-        table = search_for_set(store, workers, search_settings())
+        table = search_for_set(store, executor, search_settings())
     best = best_of(table)
     print(f"{len(table)} sets judged; objective {table['objective'][0]:.2f} at the start, ", end="")
     print(f"{best['objective']:.2f} at the best")
@@ -317,13 +278,12 @@ def calibrate(options: Namespace) -> int:
 
 def sensitivity(options: Namespace) -> int:
     """Find out which of the open values decide the headline numbers."""
-    # Imported here: it takes a second, and only the study needs it.
-    from softwave_min.studies.sensitivity import NAME, investigate, study_settings  # noqa: PLC0415
+    from softwave_min.studies.sensitivity import NAME, investigate, study_settings
 
     store = Store(NAME, options.results.resolve() if options.results else results_folder())
-    with _workers(options) as workers:
+    with _executor(options) as executor:
         _announce(options)
-        important = investigate(store, workers, study_settings())
+        important = investigate(store, executor, study_settings())
     print(f"the values that matter most: {', '.join(important)}")
     return 0
 
@@ -333,41 +293,42 @@ def sensitivity(options: Namespace) -> int:
 
 def verify(options: Namespace) -> int:
     """Compute anew in a folder of its own, and compare with the committed tables."""
+    from softwave_min.runs.sweep import SweepError, compute_all
+
     asked = _asked(options)
-    chosen = [one for one in asked.computed if committed_stems(asked.place / one.name)]
+    committed = {one.name: committed_stems(asked.place / one.name) for one in asked.computed}
+    chosen = [one for one in asked.computed if committed[one.name]]
     for one in asked.computed if asked.by_name else ():
         if one not in chosen:
             raise ParameterError(f"{one.name}: no tables are committed to compare with")
     if not chosen:
         raise ParameterError("no tables are committed to compare with")
     differ = 0
-    with TemporaryDirectory(prefix="softwave-verify-") as folder, _workers(options) as workers:
+    with TemporaryDirectory(prefix="softwave-verify-") as folder, _executor(options) as executor:
         _announce(options)
-        wanted = [(one, Store(one.name, Path(folder))) for one in chosen]
-        for swept in compute_all(wanted, asked.parameters, workers):
+        elsewhere = replace(asked, root=Path(folder))
+        for swept in compute_all(elsewhere.tasks(chosen), executor):
             if swept.failure:
                 raise SweepError(swept.failure)
-            one = swept.experiment
-            store = Store(one.name, Path(folder))
-            stems = {*committed_stems(asked.place / one.name), *table_stems(store.folder)}
-            for stem in sorted(stems):
-                outcome = _compared(one, stem, store, asked.place)
-                _report(one, stem, outcome)
-                differ += not outcome.agrees
+            one, store = swept.task.experiment, swept.task.store
+            stems = sorted({*committed[one.name], *store.stems()})
+            differ += _compared(one.name, stems, store, asked.place)
     if differ:
         print(f"{differ} of the tables differ from the committed ones", file=sys.stderr)
     return 1 if differ else 0
 
 
-def _compared(one: Experiment, stem: str, store: Store, place: Path) -> Comparison:
-    if stem not in table_stems(store.folder):
-        return Comparison(agrees=False, text="DIFFERS: committed, and not made any more")
-    tolerances = tolerances_of(one.tolerances, stem)
-    committed = committed_table(place / one.name, stem)
-    return compare_tables(store.read_table(stem), committed, tolerances)
-
-
-def _report(one: Experiment, stem: str, outcome: Comparison) -> None:
-    _say(f"{one.name}/{stem}.csv: {outcome.text}")
-    for difference in outcome.differences:
-        _say(f"  {difference}")
+def _compared(name: str, stems: Sequence[str], store: Store, place: Path) -> int:
+    """Compare an experiment's tables and say what came of it; how many differ."""
+    differ = 0
+    for stem in stems:
+        outcome = Comparison(agrees=False, text="DIFFERS: committed, and not made any more")
+        if stem in store.stems():
+            ours, committed = store.table_text(stem), committed_text(place / name, stem)
+            allowed = {} if ours == committed else tolerances_of(experiment(name).tolerances, stem)
+            outcome = compare_texts(ours, committed, allowed)
+        _say(f"{name}/{stem}.csv: {outcome.text}", sys.stdout)
+        for difference in outcome.differences:
+            _say(f"  {difference}", sys.stdout)
+        differ += not outcome.agrees
+    return differ

@@ -7,14 +7,17 @@ import subprocess
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from softwave_min.data import ROOT
 from softwave_min.runs.experiment import Tolerance
 from softwave_min.runs.store import read_table
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 EXACT = Tolerance(0.0, 0.0)
 LABELS = 4
@@ -43,10 +46,25 @@ class _Column:
     tolerance: Tolerance
 
 
-def committed_table(place: Path, stem: str) -> pd.DataFrame | None:
+class NoRepositoryError(RuntimeError):
+    """There is no commit to compare with."""
+
+
+def require_commit() -> None:
+    """Make sure that there is a commit to compare with.
+
+    Raises
+    ------
+    NoRepositoryError
+        If git is not there, or no repository with a commit is.
+    """
+    if _git("rev-parse", "--verify", "HEAD") is None:
+        raise NoRepositoryError(f"{ROOT}: no commit to compare with: no git, or no repository")
+
+
+def committed_text(place: Path, stem: str) -> str | None:
     """Table in a folder below ``results/`` at the last commit, None where there is none."""
-    text = _git("show", f"HEAD:results/{place.as_posix()}/{stem}.csv")
-    return None if text is None else read_table(io.StringIO(text))
+    return _git("show", f"HEAD:results/{place.as_posix()}/{stem}.csv")
 
 
 def committed_stems(place: Path) -> list[str]:
@@ -65,6 +83,19 @@ def _git(*arguments: str) -> str | None:
     return answer.stdout
 
 
+def compare_texts(
+    ours: str, committed: str | None, tolerances: Mapping[str, Tolerance]
+) -> Comparison:
+    """Compare two tables as they are written; see `compare_tables`."""
+    if committed is None:
+        return Comparison(agrees=True, text="no committed table to compare with")
+    if ours == committed:
+        return Comparison(agrees=True, text=f"{len(ours.splitlines()) - 1} rows, identical")
+    return compare_tables(
+        read_table(io.StringIO(ours)), read_table(io.StringIO(committed)), tolerances
+    )
+
+
 def tolerances_of(tolerances: Mapping[str, Tolerance], stem: str) -> dict[str, Tolerance]:
     """An experiment's tolerances for the columns of one of its tables."""
     common = {key: value for key, value in tolerances.items() if "." not in key}
@@ -79,7 +110,7 @@ def tolerances_of(tolerances: Mapping[str, Tolerance], stem: str) -> dict[str, T
 
 def compare_tables(
     ours: pd.DataFrame,
-    committed: pd.DataFrame | None,
+    committed: pd.DataFrame,
     tolerances: Mapping[str, Tolerance] | None = None,
 ) -> Comparison:
     """Compare two tables cell by cell, each column within its tolerance.
@@ -87,8 +118,6 @@ def compare_tables(
     Where none is stated, text and whole numbers must be equal, and other numbers
     agree within `Tolerance()`.
     """
-    if committed is None:
-        return Comparison(agrees=True, text="no committed table to compare with")
     if shape := _other_shape(ours, committed):
         return Comparison(agrees=False, text=f"DIFFERS: {shape}")
     if ours.equals(committed):
@@ -126,7 +155,7 @@ def _compare_columns(ours: pd.Series, committed: pd.Series, tolerance: Tolerance
         same = (ours == committed) | (ours.isna() & committed.isna())
         differs = ~same.to_numpy(bool)
         return _Column(differs, int(differs.argmax()), np.nan, EXACT)
-    whole = all(pd.api.types.is_integer_dtype(column) for column in (ours, committed))
+    whole = all(column.dtype.kind in "iu" for column in (ours, committed))
     tolerance = tolerance or (EXACT if whole else Tolerance())
     a, b = ours.to_numpy(float), committed.to_numpy(float)
     same = (a == b) | (np.isnan(a) & np.isnan(b))
@@ -140,7 +169,7 @@ def _compare_columns(ours: pd.Series, committed: pd.Series, tolerance: Tolerance
 
 
 def _is_number(column: pd.Series) -> bool:
-    return pd.api.types.is_numeric_dtype(column) and not pd.api.types.is_bool_dtype(column)
+    return column.dtype.kind in "iuf"
 
 
 def _said(ours: pd.DataFrame, committed: pd.DataFrame, name: str, column: _Column) -> str:
@@ -161,14 +190,7 @@ def _said(ours: pd.DataFrame, committed: pd.DataFrame, name: str, column: _Colum
 def _label(table: pd.DataFrame, row: int, column: str) -> str:
     """The row's text entries, which say what it is about."""
     names = [
-        str(name)
-        for name in table.columns
-        if name != column and not pd.api.types.is_float_dtype(table[name])
+        str(name) for name in table.columns if name != column and table[name].dtype.kind != "f"
     ][:LABELS]
     entries = ", ".join(f"{name} {table[name].iloc[row]}" for name in names)
     return f" ({entries})" if entries else ""
-
-
-def table_stems(folder: Path) -> list[str]:
-    """Stems of the tables in an experiment's folder."""
-    return sorted(path.stem for path in folder.glob("*.csv"))

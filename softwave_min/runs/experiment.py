@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import pandas as pd
 from numpy.typing import NDArray
 
 from softwave_min.parameters import ParameterSet
 from softwave_min.runs.identity import run_identity
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 Arrays = Mapping[str, NDArray[Any]]
-Tables = Mapping[str, pd.DataFrame]
+Tables = Mapping[str, "pd.DataFrame"]
 RunArrays = Mapping[str, Arrays]
 
 
@@ -32,7 +34,7 @@ class Run:
     @cached_property
     def identity(self) -> str:
         """Hash over what determines the run."""
-        return run_identity(self.compute, self.parameters)
+        return run_identity(self.compute, self.parameters).digest
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,9 @@
 - ``<table>.csv`` and ``<figure>.svg``, committed;
 - ``provenance.json``, committed: what determined them, and on what they ran;
 - ``runs/<name>-<identity>.npz``, not committed: one file per run, so that an
-  interrupted experiment resumes and a fresh clone computes everything itself.
+  interrupted experiment resumes and a fresh clone computes everything itself;
+- ``runs/tables/``, not committed: the tables as they were made here. Where they agree with the
+  committed ones, those stay as they are.
 """
 
 from __future__ import annotations
@@ -24,21 +26,27 @@ from functools import cache
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
-from softwave_min.data import ROOT
+from softwave_min.data import ROOT, note_read
 from softwave_min.runs.experiment import Arrays, Run
 from softwave_min.runs.identity import as_plain
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 LIBRARIES = ("casadi", "cvxpy", "matplotlib", "numpy", "pandas", "scipy")
 SIGNIFICANT_DIGITS = 10
+PROVENANCE = "provenance.json"
 UNFINISHED = ".writing-"
 """Prefix of a file that is being written; what remains of it was never finished."""
 HOUR = 3600.0
+KEPT = 14 * 24 * HOUR
+"""How long a run is kept that nobody asks for, in s: it may be of another parameter set, or of a
+definition that comes back."""
 
 
 def results_folder() -> Path:
@@ -57,6 +65,16 @@ class Store:
     def folder(self) -> Path:
         """``results/<experiment>``."""
         return self.root / self.experiment
+
+    @property
+    def made(self) -> Store:
+        """The tables as they were made here."""
+        return Store("tables", self.folder / "runs")
+
+    def latest(self) -> Store:
+        """The tables made here where they are of the same inputs as those that are committed."""
+        here, committed = (one.provenance().get("identity", {}) for one in (self.made, self))
+        return self.made if here and here["tables"] == committed.get("tables") else self
 
     def run_path(self, run: Run) -> Path:
         """File of one run."""
@@ -96,16 +114,18 @@ class Store:
         _write_run(self.run_path(run), _RunFiles({**record, **mark}, content))
 
     def tidy(self, runs: Iterable[Run]) -> None:
-        """Drop what former definitions of the runs, and writers that died, left behind."""
-        current = {run.name: self.run_path(run).stem for run in runs}
-        for path in self.folder.glob("runs/*"):
-            name = path.stem.rpartition("-")[0]
-            if current.get(name, path.stem) != path.stem:
-                path.unlink(missing_ok=True)
-        for path in self.folder.rglob(f"{UNFINISHED}*"):
-            with contextlib.suppress(FileNotFoundError):
-                if time.time() - path.stat().st_mtime > HOUR:  # no writer takes that long
-                    path.unlink()
+        """Drop the runs that were not asked for in a long time, and what dead writers left.
+
+        A folder may hold the runs of several parameter sets, so that a run which is none of
+        ``runs`` may still be of use: whoever asks for it marks it as used.
+        """
+        now = time.time()
+        for path in map(self.run_path, runs):
+            for used in (path, path.with_suffix(".json")):
+                with contextlib.suppress(FileNotFoundError):
+                    os.utime(used)
+        _drop(self.folder.glob("runs/*-*.*"), before=now - KEPT)
+        _drop(self.folder.rglob(f"{UNFINISHED}*"), before=now - HOUR)  # no writer takes that long
 
     def files(self) -> list[Path]:
         """Tables, figures and provenance: all but the runs."""
@@ -133,6 +153,7 @@ class Store:
             raise FileNotFoundError(
                 f"{self.experiment}/{run.name} is not computed or stale: run 'make results'"
             )
+        note_read(path)
         with np.load(path) as archive:
             return dict(archive)
 
@@ -142,15 +163,33 @@ class Store:
 
     def read_table(self, stem: str) -> pd.DataFrame:
         """Read ``<stem>.csv``."""
-        return read_table(self.folder / f"{stem}.csv")
+        path = self.folder / f"{stem}.csv"
+        note_read(path)
+        return read_table(path)
+
+    def table_text(self, stem: str) -> str:
+        """``<stem>.csv`` as it is written."""
+        return (self.folder / f"{stem}.csv").read_text(encoding="utf-8")
+
+    def stems(self) -> list[str]:
+        """Stems of the tables."""
+        return sorted(path.stem for path in self.folder.glob("*.csv"))
+
+    def file_digests(self) -> dict[str, str]:
+        """SHA-256 of every file but the runs and the provenance."""
+        return {
+            path.name: sha256(path.read_bytes()).hexdigest()
+            for path in self.files()
+            if path.name != PROVENANCE
+        }
 
     def write_provenance(self, record: Mapping[str, Any]) -> None:
         """Write ``provenance.json``."""
-        write_atomically(self.folder / "provenance.json", _json(record))
+        write_atomically(self.folder / PROVENANCE, _json(record))
 
     def provenance(self) -> dict[str, Any]:
         """Read ``provenance.json``; empty where there is none."""
-        path = self.folder / "provenance.json"
+        path = self.folder / PROVENANCE
         if not path.is_file():
             return {}
         record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
@@ -165,7 +204,17 @@ def table_text(table: pd.DataFrame) -> str:
 
 def read_table(source: Path | io.StringIO) -> pd.DataFrame:
     """Read a table that ``table_text`` wrote."""
+    import pandas as pd  # noqa: PLC0415 - takes half a second, and most who look need no table
+
     return pd.read_csv(source)
+
+
+def _drop(paths: Iterable[Path], before: float) -> None:
+    """Remove the files that were last written or used before a time."""
+    for path in paths:
+        with contextlib.suppress(FileNotFoundError):
+            if path.stat().st_mtime < before:
+                path.unlink()
 
 
 class _RunFiles(NamedTuple):

@@ -1,4 +1,4 @@
-"""Compute what experiments lack, and judge what they have.
+"""Carry a plan out: compute what is missing, tabulate, draw and judge it.
 
 A sweep is a list of independent runs, of one experiment or of several. Each is written
 as soon as it is done, so that an interrupted sweep resumes and loses at most the runs in
@@ -11,112 +11,105 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
-from enum import Enum
-from hashlib import sha256
+from dataclasses import dataclass, field
 from typing import Any, NoReturn
 
 import numpy as np
 from tqdm import tqdm
 
 from softwave_min.control.nmpc import Status
-from softwave_min.native import description
 from softwave_min.parameters import ParameterSet
-from softwave_min.runs.executor import Outcome, Workers, attempt, in_a_line
+from softwave_min.runs.executor import (
+    Executor,
+    Outcome,
+    Processes,
+    attempt,
+    completed,
+    in_a_line,
+    is_lost,
+)
 from softwave_min.runs.experiment import Experiment, Run
-from softwave_min.runs.identity import as_plain, digest, lock_digest, source_digest
+from softwave_min.runs.plan import Task
 from softwave_min.runs.store import Store, machine, repository_state
+from softwave_min.runs.tables import make_tables, publish
+
+Draw = Callable[[Store, ParameterSet], None]
+"""Draws an experiment's figures into its folder; runs in any process."""
 
 
 class SweepError(RuntimeError):
     """Runs of a sweep failed."""
 
 
-class Freshness(Enum):
-    """How results stand to what would be computed now."""
-
-    FRESH = "fresh"
-    """Computed here from the present inputs."""
-    COMMITTED = "committed"
-    """The tables are of the present inputs; the runs were computed elsewhere."""
-    STALE = "stale"
-    """Made from other inputs, or changed since."""
-    MISSING = "missing"
-    """Never computed."""
-
-
-def tables_identity(experiment: Experiment, parameters: ParameterSet) -> str:
-    """Hash over what determines an experiment's tables."""
-    return _tables_identity(experiment, experiment.runs(parameters))
-
-
-def _tables_identity(experiment: Experiment, runs: Sequence[Run]) -> str:
-    return digest(
-        {run.name: run.identity for run in runs},
-        source_digest(experiment.tabulate.__module__),
-        lock_digest(),
-    )
-
-
-def figures_identity(experiment: Experiment, of_tables: str) -> str:
-    """Hash over what determines an experiment's figures, that of its tables included."""
-    return digest(of_tables, source_digest(f"softwave_min.figures.{experiment.name}"))
-
-
-def freshness(experiment: Experiment, parameters: ParameterSet, store: Store) -> Freshness:
-    """Judge the tables and figures of an experiment."""
-    record = store.provenance()
-    if not record:
-        return Freshness.MISSING
-    runs = experiment.runs(parameters)
-    of_tables = _tables_identity(experiment, runs)
-    if record["tables_identity"] != of_tables or not figures_are_current(
-        store, figures_identity(experiment, of_tables)
-    ):
-        return Freshness.STALE
-    here = all(store.has(run) for run in runs)
-    return Freshness.FRESH if here else Freshness.COMMITTED
-
-
-def figures_are_current(store: Store, identity: str) -> bool:
-    """Whether the figures are those of an identity, and no file was changed since."""
-    record = store.provenance()
-    return record.get("figures_identity") == identity and record["files"] == file_digests(store)
-
-
-def file_digests(store: Store) -> dict[str, str]:
-    """SHA-256 of every committed file of an experiment, its provenance aside."""
-    return {
-        path.name: sha256(path.read_bytes()).hexdigest()
-        for path in store.files()
-        if path.name != "provenance.json"
-    }
-
-
 @dataclass(frozen=True)
 class Swept:
     """An experiment of which no run is left to be computed."""
 
-    experiment: Experiment
-    identity: str
-    """Of its tables."""
+    task: Task
     computed: int
     """Runs computed, without those that are another's as well and were computed for it."""
     seconds: float
     """From the start of the first run to the end of the last."""
     failure: str = ""
     """Why there are no tables."""
+    published: bool = False
+    """Whether its tables were written where they are committed."""
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that was done, or failed, in the course of a plan."""
+
+    text: str
+    failed: bool = False
+
+
+def carry_out(
+    plan: Sequence[Task], executor: Executor, draw: Draw, *, record: bool = False
+) -> Iterator[Event]:
+    """Compute, tabulate and draw what is missing or stale; say so as it is done.
+
+    Figures are drawn while other experiments are computed. ``record``: the tables made here are
+    to be committed, even where those that are agree with them.
+    """
+    several = len(plan) > 1 and executor.here
+    painters = executor if several else Processes(1)
+    drawn: list[tuple[Task, Future[None]]] = []
+    for swept in compute_all(plan, executor, record=record):
+        task, name = swept.task, swept.task.experiment.name
+        if swept.failure:
+            yield Event(swept.failure, failed=True)
+            continue
+        to_draw = swept.published or bool(task.figures)
+        if swept.computed:
+            yield Event(f"{name}: {swept.computed} runs computed in {swept.seconds:.1f} s")
+        elif not to_draw:
+            yield Event(f"{name}: up to date")
+        if to_draw:
+            drawn.append((task, painters.submit(draw, task.store, task.parameters)))
+    for task, future in drawn:
+        yield _drawn(task, future, draw)
+
+
+def _drawn(task: Task, future: Future[None], draw: Draw) -> Event:
+    name = task.experiment.name
+    try:
+        if is_lost(future):  # a run took its worker along
+            draw(task.store, task.parameters)
+        else:
+            future.result()
+    except Exception as error:
+        return Event(f"{name}: the figures failed: {in_a_line(error)}", failed=True)
+    return Event(f"{name}: figures drawn")
 
 
 @dataclass
 class _Share:
     """What an experiment has of a sweep."""
 
-    experiment: Experiment
-    store: Store
-    runs: Sequence[Run]
+    task: Task
     missing: Sequence[Run]
     prepared: Future[object] | None = None
     """To be waited for before its runs are computed."""
@@ -141,7 +134,7 @@ class _Share:
         if outcome.failure:
             self.failures[run.name] = outcome.failure
         else:
-            self.store.save_run(run, outcome.arrays, _run_record(run, outcome))
+            self.task.store.save_run(run, outcome.arrays, _run_record(run, outcome))
 
 
 Takers = list[tuple[_Share, Run]]
@@ -149,23 +142,23 @@ Takers = list[tuple[_Share, Run]]
 
 
 def compute(
-    experiment: Experiment, parameters: ParameterSet, store: Store, workers: Workers
+    experiment: Experiment, parameters: ParameterSet, store: Store, executor: Executor
 ) -> int:
     """Compute the missing runs, then the tables; the number of runs computed.
 
     Raises
     ------
     SweepError
-        If runs failed, after all others are done and saved.
+        If runs failed, after all others are done and saved, or their tables did.
     """
-    (swept,) = compute_all([(experiment, store)], parameters, workers)
+    (swept,) = compute_all([Task(experiment, parameters, store)], executor)
     if swept.failure:
         raise SweepError(swept.failure)
     return swept.computed
 
 
 def compute_all(
-    asked: Sequence[tuple[Experiment, Store]], parameters: ParameterSet, workers: Workers
+    plan: Sequence[Task], executor: Executor, *, record: bool = False
 ) -> Iterator[Swept]:
     """Compute the missing runs of several experiments in one queue, each run once.
 
@@ -176,50 +169,44 @@ def compute_all(
     """
     aside = ThreadPoolExecutor(1)
     try:
-        shares = [_share(*one, parameters, aside if workers.here else None) for one in asked]
-        yield from (_over(share, parameters) for share in shares if share.is_over)
-        for touched in _taken(shares, workers):
-            yield from (_over(share, parameters) for share in touched if share.is_over)
+        shares = [_share(task, aside if executor.here else None) for task in plan]
+        yield from (_over(share, record) for share in shares if share.is_over)
+        for touched in _taken(shares, executor):
+            yield from (_over(share, record) for share in touched if share.is_over)
     finally:  # an error shall not wait for what nobody needs any more
         aside.shutdown(wait=False, cancel_futures=True)
 
 
-def _taken(shares: Sequence[_Share], workers: Workers) -> Iterator[list[_Share]]:
+def _taken(shares: Sequence[_Share], executor: Executor) -> Iterator[list[_Share]]:
     """Compute what is missing and give it to all who want it; those, after each run."""
     wanted: dict[str, Takers] = {}
     for share in shares:
         for run in share.missing:
             wanted.setdefault(run.identity, []).append((share, run))
     with _bar(shares) as bar:
-        for takers, outcome in _outcomes(list(wanted.values()), workers):
+        for takers, outcome in _outcomes(list(wanted.values()), executor):
             takers[0][0].count(outcome)
             for share, run in takers:
                 share.take(run, outcome)
-                bar.set_description(share.experiment.name, refresh=False)
+                bar.set_description(share.task.experiment.name, refresh=False)
             bar.set_postfix(failed=sum(len(one.failures) for one in shares), refresh=False)
             bar.update(len(takers))
             yield [share for share in shares if any(share is taker for taker, _ in takers)]
 
 
-def _share(
-    experiment: Experiment,
-    store: Store,
-    parameters: ParameterSet,
-    aside: ThreadPoolExecutor | None,
-) -> _Share:
-    """Look for what is missing, and have prepared ``aside`` what that needs."""
-    runs = experiment.runs(parameters)
-    missing = store.adopt([run for run in runs if not store.has(run)])
-    share = _Share(experiment, store, runs, missing)
-    if aside and missing and experiment.prepare is not None:
-        share.prepared = aside.submit(experiment.prepare, missing[0])
+def _share(task: Task, aside: ThreadPoolExecutor | None) -> _Share:
+    """Take over what experiments beside have, and have prepared ``aside`` what the rest needs."""
+    missing = task.store.adopt(task.missing)
+    share = _Share(task, missing)
+    if aside and missing and task.experiment.prepare is not None:
+        share.prepared = aside.submit(task.experiment.prepare, missing[0])
     return share
 
 
 def _bar(shares: Sequence[_Share]) -> tqdm[NoReturn]:
     total, missing = (
         sum(len(runs) for runs in every)
-        for every in ([one.runs for one in shares], [one.missing for one in shares])
+        for every in ([one.task.runs for one in shares], [one.missing for one in shares])
     )
     return tqdm(
         total=total,
@@ -229,51 +216,52 @@ def _bar(shares: Sequence[_Share]) -> tqdm[NoReturn]:
     )
 
 
-def _outcomes(wanted: Sequence[Takers], workers: Workers) -> Iterator[tuple[Takers, Outcome]]:
+def _outcomes(wanted: Sequence[Takers], executor: Executor) -> Iterator[tuple[Takers, Outcome]]:
     """Compute what is wanted; first what need not wait for a preparation."""
     waits = [[share.prepared for share, _ in takers if share.prepared] for takers in wanted]
     at_once = [takers for takers, wait in zip(wanted, waits, strict=True) if not wait]
     then = [takers for takers, wait in zip(wanted, waits, strict=True) if wait]
-    yield from _computed(at_once, workers)
+    yield from _computed(at_once, executor)
     for wait in waits:
         for prepared in wait:
             prepared.result()
-    yield from _computed(then, workers)
+    yield from _computed(then, executor)
 
 
-def _computed(wanted: Sequence[Takers], workers: Workers) -> Iterator[tuple[Takers, Outcome]]:
-    if not wanted:  # nor is a cluster, which may be gone by now
-        return
+def _computed(wanted: Sequence[Takers], executor: Executor) -> Iterator[tuple[Takers, Outcome]]:
     runs = [takers[0][1] for takers in wanted]
     calls = [(run.compute, run.parameters, run.identity) for run in runs]
-    for index, result in workers.completed(attempt, calls):
+    for index, future in completed(executor, attempt, calls):
         try:
-            outcome: Outcome = result.result()
+            outcome: Outcome = future.result()
         except Exception as error:  # of the worker, not of the run
             outcome = Outcome({}, 0.0, "", in_a_line(error))
         yield wanted[index], outcome
 
 
-def _over(share: _Share, parameters: ParameterSet) -> Swept:
-    """Make the tables, if no run failed."""
+def _over(share: _Share, record: bool) -> Swept:
+    """Make the tables, if no run failed, and publish them."""
+    task, name = share.task, share.task.experiment.name
     now = time.perf_counter()
-    swept = Swept(
-        share.experiment,
-        _tables_identity(share.experiment, share.runs),
-        share.computed,
-        now - min(now, share.started),
-    )
-    share.store.tidy(share.runs)
+    seconds = now - min(now, share.started)
+    task.store.tidy(task.runs)
     if share.failures:
         first = next(run.name for run in share.missing if run.name in share.failures)
         failure = (
-            f"{share.experiment.name}: {len(share.failures)} of {len(share.runs)} runs failed, "
+            f"{name}: {len(share.failures)} of {len(task.runs)} runs failed, "
             f"the others are kept; first {first}: {share.failures[first]}"
         )
-        return replace(swept, failure=failure)
-    if share.missing or not _tables_are_current(share.store, swept.identity):
-        _tabulate(swept, parameters, share.store, share.runs)
-    return swept
+        return Swept(task, share.computed, seconds, failure)
+    published = False
+    try:
+        if share.missing or task.made:
+            make_tables(task, seconds if share.computed else None)
+        if share.missing or task.made or task.tables or record:
+            published = publish(task, record=record)
+    except Exception as error:  # one experiment's failure must not stop the others
+        failure = f"{name}: the tables failed, the runs are kept: {in_a_line(error)}"
+        return Swept(task, share.computed, seconds, failure)
+    return Swept(task, share.computed, seconds, published=published)
 
 
 def _run_record(run: Run, outcome: Outcome) -> dict[str, Any]:
@@ -294,70 +282,3 @@ def _run_record(run: Run, outcome: Outcome) -> dict[str, Any]:
             if value >= 0
         }
     return record
-
-
-def _tables_are_current(store: Store, identity: str) -> bool:
-    record = store.provenance()
-    if record.get("tables_identity") != identity:
-        return False
-    found = file_digests(store)
-    return all(
-        found.get(name) == content
-        for name, content in record["files"].items()
-        if name.endswith(".csv")
-    )
-
-
-def _tabulate(swept: Swept, parameters: ParameterSet, store: Store, runs: Sequence[Run]) -> None:
-    experiment = swept.experiment
-    tables = experiment.tabulate(parameters, {run.name: store.load_run(run) for run in runs})
-    for stem, table in tables.items():
-        store.write_table(stem, table)
-    common = {
-        "engine": description(),
-        "machine": machine(),
-        "parameters": as_plain(parameters),
-        **repository_state(),
-    }
-    of_runs = {run.name: _in_particular(store.run_record(run), common) for run in runs}
-    store.write_provenance(
-        {
-            "experiment": experiment.name,
-            "title": experiment.title,
-            "claims": experiment.claims,
-            "tables_identity": swept.identity,
-            "lock": lock_digest(),
-            "runs": of_runs,
-            # Where no run was computed for this experiment, no time was either.
-            **({"wall_time": round(swept.seconds, 3)} if swept.computed else {}),
-            "files": file_digests(store),
-            **common,
-        }
-    )
-
-
-def _in_particular(record: dict[str, Any], common: dict[str, Any]) -> dict[str, Any]:
-    """A run's record without what the experiment's says of all runs.
-
-    A parameter set in it is reduced to what differs from the experiment's.
-    """
-    own = {key: value for key, value in record.items() if common.get(key) != value}
-    if "parameters" in own:
-        own["parameters"] = _reduced(own["parameters"], common["parameters"])
-    return own
-
-
-def _reduced(tree: Any, common: dict[str, Any]) -> Any:
-    if not isinstance(tree, dict):
-        return tree
-    if tree.keys() == common.keys():
-        return _changes(tree, common)
-    return {key: _reduced(value, common) for key, value in tree.items()}
-
-
-def _changes(tree: dict[str, Any], common: dict[str, Any]) -> dict[str, Any]:
-    return {
-        key: _changes(value, common[key]) if isinstance(value, dict) else value
-        for key, value in tree.items()
-        if value != common[key]
-    }

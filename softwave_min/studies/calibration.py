@@ -39,7 +39,7 @@ from softwave_min.parameters import (
     parameter_set,
     validate,
 )
-from softwave_min.runs.executor import Workers
+from softwave_min.runs.executor import Executor
 from softwave_min.runs.experiment import Experiment, Run, RunArrays, Tables
 from softwave_min.runs.store import Store
 from softwave_min.runs.sweep import compute
@@ -158,7 +158,7 @@ def objective(numbers: Mapping[str, float], search: Search) -> float:
 # --- the search -------------------------------------------------------------------------
 
 
-def calibrate(store: Store, workers: Workers, search: Search) -> pd.DataFrame:
+def calibrate(store: Store, workers: Executor, search: Search) -> pd.DataFrame:
     """Search, and write the tables ``evaluations`` and ``flatness``; the evaluations.
 
     Generation 0 is the starting set alone.
@@ -205,7 +205,9 @@ def _at(shares: Floats, start: ParameterSet, values: Sequence[PlausibleRange]) -
     return with_values(start, chosen)
 
 
-def _evaluated(runs: Sequence[Run], store: Store, workers: Workers, search: Search) -> pd.DataFrame:
+def _evaluated(
+    runs: Sequence[Run], store: Store, workers: Executor, search: Search
+) -> pd.DataFrame:
     """The evaluations, of which those that are missing are computed."""
     generation = Experiment(
         name=store.experiment,

@@ -276,7 +276,7 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(builder, "BOOK", tmp_path / "book")
     monkeypatch.setattr(builder, "PAGES", tmp_path / "book" / "_build" / "html")
     monkeypatch.setattr(builder, "STAMP", tmp_path / "stamp")
-    (tmp_path / "stamp").write_text(builder.fingerprint(), encoding="ascii")
+    (tmp_path / "stamp").write_text(json.dumps(builder.identity().parts), encoding="utf-8")
     return tmp_path
 
 

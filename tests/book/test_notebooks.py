@@ -135,16 +135,30 @@ def write(tmp_path):
     return write
 
 
+def is_current(path, stamps):
+    return executor.changes(path, stamps) == []
+
+
 def test_a_notebook_is_current_once_executed_and_comes_out_the_same_again(write, tmp_path):
     path = write("a = 2", "print('one')\nprint('two')\na ** 10")
-    assert not executor.is_current(path, tmp_path)
+    assert executor.changes(path, tmp_path) is None
     executor.execute(path, tmp_path)
-    assert executor.is_current(path, tmp_path)
+    assert is_current(path, tmp_path)
     first = path.read_bytes()
     assert faults(nbformat.read(path, as_version=4)) == []
-    (tmp_path / path.stem).unlink()
     executor.execute(path, tmp_path)
     assert path.read_bytes() == first
+
+
+def test_a_committed_notebook_stays_unless_more_than_a_wall_time_differs(write, tmp_path):
+    path = write("import time\nprint(f'{time.perf_counter():.6f} s of wall time')")
+    executor.execute(path, tmp_path)
+    committed = path.read_bytes()
+    executor.execute(path, tmp_path)
+    assert path.read_bytes() == committed
+    assert is_current(path, tmp_path)
+    executor.execute(path, tmp_path, record=True)
+    assert path.read_bytes() != committed
 
 
 @pytest.mark.parametrize("edit", ["a comment", "its outputs"])
@@ -158,8 +172,8 @@ def test_an_edit_makes_one_notebook_stale_and_no_other(write, tmp_path, edit):
     else:
         notebook.cells[0].outputs = []
     path.write_text(nbformat.writes(notebook))
-    assert not executor.is_current(path, tmp_path)
-    assert executor.is_current(other, tmp_path)
+    assert not is_current(path, tmp_path)
+    assert is_current(other, tmp_path)
 
 
 def test_a_failure_names_the_cell_and_leaves_the_file_alone(write, tmp_path):
@@ -168,69 +182,45 @@ def test_a_failure_names_the_cell_and_leaves_the_file_alone(write, tmp_path):
     with pytest.raises(executor.ExecutionError, match=r"(?s)a / 0.*ZeroDivisionError"):
         executor.execute(path, tmp_path)
     assert path.read_bytes() == before
-    assert not executor.is_current(path, tmp_path)
+    assert not is_current(path, tmp_path)
 
 
-@pytest.fixture
-def drag(tmp_path, monkeypatch):
-    """Set the drag coefficient in a copy of the parameters."""
-    folder = tmp_path / "data"
-    text = (executor.parameters.data_folder() / "parameters/physical.toml").read_text()
-    (folder / "parameters").mkdir(parents=True)
-    monkeypatch.setattr(executor.parameters, "data_folder", lambda: folder)
-
-    def set_drag(coefficient):
-        changed = re.sub(r"(?m)^(drag_coefficient = )[\d.]+", rf"\g<1>{coefficient}", text)
-        (folder / "parameters/physical.toml").write_text(changed)
-
-    return set_drag
-
-
-LOAD = """
-from softwave_min.data import data_folder
-from softwave_min.parameters import load_parameters
-nominal = load_parameters(data_folder() / "parameters" / "physical.toml")
+READS = """
+from pathlib import Path
+from softwave_min.data import read_toml
+read_toml(Path("read.toml"))
 """
 
 
-@pytest.mark.parametrize(
-    ("code", "depends"),
-    [
-        ("nominal.fluid.drag_coefficient", True),
-        ("nominal.fluid.gravity", False),
-        ("nominal.sea.peak_period", False),
-        ("from softwave_min.simulation import simulate\nsimulate(nominal)", True),
-        ("from softwave_min.waves.dispersion import wave_number\nwave_number(1, 20)", False),
-    ],
-)
-def test_drag_determines_the_notebooks_that_read_it(write, drag, code, depends):
-    path = write(LOAD, code)
-    drag(1.1)
-    before = executor.state(path)
-    drag(1.2)
-    assert (executor.state(path) != before) == depends
+def test_what_a_notebook_read_and_nothing_else_determines_it(write, tmp_path):
+    for name in ("read", "other"):
+        (tmp_path / f"{name}.toml").write_text("drag = 1.1\n")
+    path = write(READS, "named = 'other.toml'")
+    executor.execute(path, tmp_path)
+    (tmp_path / "other.toml").write_text("drag = 1.2\n")
+    assert is_current(path, tmp_path)
+    (tmp_path / "read.toml").write_text("drag = 1.2\n")
+    assert executor.changes(path, tmp_path) == [f"data ({tmp_path}/read.toml)"]
 
 
-def test_results_determine_the_notebooks_that_name_their_experiment(write, tmp_path, monkeypatch):
-    reader = write("from softwave_min.runs.store import Store\nStore('spectra')")
-    other = write("from softwave_min.runs.store import Store\nStore('none')", name="other")
-    monkeypatch.setattr(executor, "results_folder", lambda: tmp_path)
-    before = executor.state(reader), executor.state(other)
+LOADS = """
+from softwave_min.runs.store import Store
+Store("spectra").read_table("curves")
+from importlib import import_module
+import_module("softwave_min.waves.dispersion")
+"""
+
+
+def test_tables_and_modules_that_no_word_gives_away_determine_a_notebook(
+    write, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("SOFTWAVE_RESULTS", str(tmp_path))
     (tmp_path / "spectra").mkdir()
-    (tmp_path / "spectra/curves.csv").write_text("f,S\n")
-    assert executor.state(reader) != before[0]
-    assert executor.state(other) == before[1]
-
-
-def test_source_determines_the_notebooks_that_rest_on_it(write, tmp_path, monkeypatch):
-    path = write("import softwave_min.simulation")
-    module = tmp_path / "simulation.py"
-    monkeypatch.setattr(
-        executor,
-        "source_files",
-        lambda names: [module] if "softwave_min.simulation" in names else [],
-    )
-    module.write_text("step = 1")
-    before = executor.state(path)
-    module.write_text("step = 2")
-    assert executor.state(path) != before
+    (tmp_path / "spectra/curves.csv").write_text("f,S\n1,2\n")
+    path = write(LOADS)
+    executor.execute(path, tmp_path)
+    stamp = json.loads((tmp_path / "study.json").read_text())
+    assert "softwave_min.waves.dispersion" in stamp["modules"]
+    assert "softwave_min/control/nmpc.py" not in stamp["parts"]["source"]
+    (tmp_path / "spectra/curves.csv").write_text("f,S\n1,3\n")
+    assert executor.changes(path, tmp_path) == ["data (results/spectra/curves.csv)"]

@@ -11,7 +11,7 @@ from softwave_min.figures.spectra import draw
 from softwave_min.figures.style import apply, svg
 from softwave_min.paper.cases import wave_cases
 from softwave_min.parameters import load_parameters
-from softwave_min.runs.identity import source_files
+from softwave_min.runs.source import source_files
 from softwave_min.runs.store import Store
 from softwave_min.studies.catalogue import experiment
 from softwave_min.waves import Sea, Spectrum, periodogram

@@ -5,17 +5,22 @@ from __future__ import annotations
 import dataclasses
 import io
 import os
+import shutil
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from softwave_min.runs import identity, sweep
+from softwave_min.data import read_toml
+from softwave_min.paper.cases import wave_cases
+from softwave_min.runs import identity, source
 from softwave_min.runs.executor import Processes
 from softwave_min.runs.experiment import Experiment, Run
+from softwave_min.runs.identity import run_identity
+from softwave_min.runs.plan import Freshness, Task
 from softwave_min.runs.store import Store, read_table, table_text, write_atomically
-from softwave_min.runs.sweep import Freshness, SweepError, compute, freshness
+from softwave_min.runs.sweep import SweepError, compute, compute_all
 from softwave_min.studies.catalogue import NAMES, experiment
 
 
@@ -57,24 +62,35 @@ def toy(tmp_path, monkeypatch):
     """A package ``toy`` in place of ours: plant <- arm (with a C source); sea alone."""
     package = tmp_path / "toy"
     for name, text in {
-        "__init__.py": "",
-        "plant.py": "from toy.arm import mass\n",
-        "sea.py": "import numpy\n",
+        "__init__.py": "from toy.sea import wave\n",
+        "plant.py": "import toy\nfrom toy.arm import mass\n",
+        "sea.py": 'import numpy\ndef wave():\n    """A sum."""\n    return 1  # m\n',
         "arm/__init__.py": "from .inertia import mass\n",
         "arm/inertia.py": "mass = 1.0\n",
-        "arm/solver.c": "int x;\n",
+        "arm/solver.c": "int x; /* metres */\n",
     }.items():
         write_atomically(package / name, text.encode())
-    monkeypatch.setattr(identity, "PACKAGE", package)
-    monkeypatch.setattr(identity, "ROOT", tmp_path)
-    identity.source_digest.cache_clear()
+    monkeypatch.setattr(source, "PACKAGE", package)
+    monkeypatch.setattr(source, "ROOT", tmp_path)
+    forget()
     yield package
-    identity.source_digest.cache_clear()
+    forget()
+
+
+def forget():
+    for cached in (
+        source.source_digests,
+        source.source_digest,
+        source.imported_libraries,
+        source._digest,
+        source._imported_by,
+    ):
+        cached.cache_clear()
 
 
 def source_digest(module):
-    identity.source_digest.cache_clear()
-    return identity.source_digest(module)
+    forget()
+    return source.source_digest(module)
 
 
 # --- identity ---------------------------------------------------------------------------
@@ -86,9 +102,33 @@ def source_digest(module):
 def test_every_source_that_a_module_rests_on_is_part_of_its_identity(toy, changed):
     plant, sea = source_digest("toy.plant"), source_digest("toy.sea")
     path = toy / changed
-    path.write_text(path.read_text() + " ")
+    path.write_text(path.read_text() + "int y;" if path.suffix == ".c" else "mass = 2.0\n")
     assert source_digest("toy.plant") != plant
     assert source_digest("toy.sea") == sea
+
+
+@pytest.mark.parametrize(
+    ("name", "before", "after", "same"),
+    [
+        ("sea.py", "  # m", "  # metres\n", True),
+        ("sea.py", '"""A sum."""', '"""A sum\n\n    of waves."""', True),
+        ("sea.py", "return 1", "return '# 1'", False),
+        ("arm/solver.c", "/* metres */", "// m", True),
+        ("arm/solver.c", "int x;", 'char x[] = "/* m */";', False),
+    ],
+)
+def test_only_code_counts(toy, name, before, after, same):
+    module = {"sea.py": "toy.sea"}.get(name, "toy.arm")
+    digest, path = source_digest(module), toy / name
+    path.write_text(path.read_text().replace(before, after))
+    assert (source_digest(module) == digest) is same
+
+
+def test_the_front_door_counts_for_those_alone_who_enter_by_it(toy):
+    plant, package = source_digest("toy.plant"), source_digest("toy")
+    (toy / "sea.py").write_text("wave = 2\n")
+    assert source_digest("toy.plant") == plant
+    assert source_digest("toy") != package
 
 
 def test_a_source_of_another_name_is_another_source(toy):
@@ -97,12 +137,47 @@ def test_a_source_of_another_name_is_another_source(toy):
     assert source_digest("toy.plant") != before
 
 
+def sources(run):
+    return run_identity(run.compute, run.parameters).parts["source"]
+
+
+def test_a_closed_loop_rests_on_no_measured_sea_and_on_no_solver_that_it_does_not_use(nominal):
+    run = experiment("error_ratio").runs(nominal)[-1]
+    assert not any("records" in name or "reference" in name for name in sources(run))
+    assert any("compiled/engine.c" in name for name in sources(run))
+    nmpc = dataclasses.replace(run.parameters.parameters.nmpc, solver="interior_point")
+    other = dataclasses.replace(run.parameters.parameters, nmpc=nmpc)
+    other = dataclasses.replace(
+        run, parameters=dataclasses.replace(run.parameters, parameters=other)
+    )
+    assert sources(other).keys() - sources(run).keys() >= {
+        "softwave_min/control/reference/interior_point.py"
+    }
+
+
 def test_identity_follows_the_parameters_and_the_lock(monkeypatch):
     assert square(2.0).identity == square(2.0).identity
     assert square(2.0).identity != square(np.nextafter(2.0, 3.0)).identity
     before = square(2.0).identity
-    monkeypatch.setattr(identity, "lock_digest", lambda: "another lock")
+    versions = {**identity._versions(), "sphinx": "0"}
+    monkeypatch.setattr(identity, "_versions", lambda: versions)
+    assert square(2.0).identity == before  # nothing is computed with it
+    monkeypatch.setattr(identity, "imported_libraries", lambda *_: {"numpy"})
+    before = square(2.0).identity
+    versions["numpy"] = "0"
     assert square(2.0).identity != before
+
+
+def test_what_changed_is_named(nominal):
+    run = experiment("spectra").runs(nominal)[0]
+    now = run_identity(run.compute, run.parameters)
+    assert now.changes(now.parts) == []
+    source = dict.fromkeys(now.parts["source"], "0")
+    lock = {**now.parts["lock"], "numpy": "0"}
+    assert now.changes({**now.parts, "lock": lock}) == ["lock (numpy)"]
+    assert "more)" in now.changes({**now.parts, "source": source})[0]
+    assert now.changes({**now.parts, "parameters": ""}) == ["parameters"]
+    assert now.changes(None) == ["not recorded"]
 
 
 def with_drag(parameters, coefficient):
@@ -149,13 +224,14 @@ def test_a_run_defined_otherwise_is_not_taken_for_the_saved_one(shelf):
         shelf.load_run(square(4.0))
 
 
-def test_a_new_definition_replaces_the_files_of_the_former_alone(shelf):
-    for run in (square(3.0), square(5.0, "square-2"), square(4.0)):
+def test_a_run_goes_when_nobody_asked_for_it_in_a_long_time(shelf):
+    mine, other_set, vanished = square(3.0), square(4.0), square(5.0, "vanished")
+    for run in (mine, other_set, vanished):
         shelf.save_run(run, area(run.parameters), {})
-    shelf.tidy([square(4.0)])
-    assert not shelf.has(square(3.0))
-    assert shelf.has(square(4.0))
-    assert shelf.has(square(5.0, "square-2"))
+    for path in (*shelf.folder.glob("runs/vanished-*"), shelf.run_path(mine)):
+        os.utime(path, (0, 0))
+    shelf.tidy([mine])
+    assert [shelf.has(run) for run in (mine, other_set, vanished)] == [True, True, False]
     assert len(list(shelf.folder.glob("runs/*"))) == 4  # two runs, each with its record
 
 
@@ -214,12 +290,15 @@ def test_a_sweep_that_failed_keeps_the_runs_that_did_not(shelf, nominal):
     assert compute(squares(1.0, 2.0, 3.0), nominal, shelf, Processes(1)) == 1
 
 
+def freshness(experiment, parameters, store):
+    return Task(experiment, parameters, store).freshness
+
+
 @pytest.fixture
 def finished(shelf, nominal, monkeypatch):
     """The shelf with the tables of one square, and figures as it were."""
-    monkeypatch.setattr(sweep, "figures_identity", lambda *_: "drawn")
+    monkeypatch.setattr(Task, "figures", [])
     compute(squares(1.0), nominal, shelf, Processes(1))
-    shelf.write_provenance({**shelf.provenance(), "figures_identity": "drawn"})
     return shelf
 
 
@@ -232,6 +311,54 @@ def test_results_are_stale_once_their_definition_or_a_file_has_changed(finished,
 
 
 def test_tables_without_their_runs_count_as_committed(finished, nominal):
-    for path in finished.folder.glob("runs/*"):
-        path.unlink()
+    shutil.rmtree(finished.folder / "runs")
     assert freshness(squares(1.0), nominal, finished) is Freshness.COMMITTED
+
+
+def test_a_file_that_is_read_for_a_table_determines_it(shelf, nominal, tmp_path):
+    limits = tmp_path / "limits.toml"
+    limits.write_text("most = 2.0")
+
+    def tabulate(_, runs):
+        return {"most": pd.DataFrame({"most": [read_toml(limits)["most"]], "runs": [len(runs)]})}
+
+    judged = dataclasses.replace(squares(1.0), tabulate=tabulate)
+    compute(judged, nominal, shelf, Processes(1))
+    limits.write_text("most = 3.0")
+    assert Task(judged, nominal, shelf).tables == [f"data (results/{limits.name})"]
+    assert compute(judged, nominal, shelf, Processes(1)) == 0
+    assert list(shelf.read_table("most")["most"]) == [3.0]
+
+
+def test_a_run_that_reads_a_file_fails(shelf, nominal):
+    reads = dataclasses.replace(squares(), runs=lambda _: [Run("s", reads_a_file, Square(1.0))])
+    with pytest.raises(SweepError, match=r"a run reads no file.*wave_cases\.toml"):
+        compute(reads, nominal, shelf, Processes(1))
+
+
+def reads_a_file(_):
+    return {"cases": np.array(len(wave_cases()))}
+
+
+def as_committed_elsewhere(shelf, factor):
+    """The tables as another machine made them, without what was computed here."""
+    shutil.rmtree(shelf.folder / "runs")
+    table = shelf.read_table("areas")
+    shelf.write_table("areas", table * factor)
+    shelf.write_provenance({**shelf.provenance(), "files": shelf.file_digests(), "commit": "old"})
+    return {path.name: path.read_bytes() for path in shelf.files()}
+
+
+@pytest.mark.parametrize(("factor", "record", "kept"), [
+    (1 + 1e-6, False, True), (1 + 1e-6, True, False), (1 + 1e-3, False, False),
+])  # fmt: skip
+def test_committed_tables_stay_unless_a_number_moved_or_they_are_to_be_recorded(
+    shelf, nominal, factor, record, kept
+):
+    compute(squares(3.0), nominal, shelf, Processes(1))
+    committed = as_committed_elsewhere(shelf, factor)
+    (swept,) = compute_all([Task(squares(3.0), nominal, shelf)], Processes(1), record=record)
+    assert swept.published is not kept
+    assert ({path.name: path.read_bytes() for path in shelf.files()} == committed) is kept
+    assert list(shelf.latest().read_table("areas")["area"]) == [9.0]
+    assert not Task(squares(3.0), nominal, shelf).made

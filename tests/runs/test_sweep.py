@@ -16,15 +16,17 @@ import numpy as np
 import pandas as pd
 import psutil
 import pytest
-from toy_sweep import RUNS, Draw, toy
+from toy_sweep import RUNS, Draw, nap, toy
 from toy_sweep import compute as compute_sample
 
 from softwave_min.data import ROOT
 from softwave_min.parameters import parameter_set
 from softwave_min.runs import store as stores
-from softwave_min.runs.executor import Cluster, Processes, attempt
+from softwave_min.runs import sweep
+from softwave_min.runs.executor import Cluster, Processes, attempt, completed
 from softwave_min.runs.experiment import Run
 from softwave_min.runs.identity import run_identity
+from softwave_min.runs.plan import Task
 from softwave_min.runs.store import Store, read_table
 from softwave_min.runs.sweep import SweepError, compute, compute_all
 
@@ -61,12 +63,9 @@ def test_tables_are_the_same_to_the_last_bit_whoever_computes_the_runs(shelf, un
     assert table_bytes(shelf.folder) == undisturbed
 
 
-def test_runs_that_end_in_another_order_make_the_same_tables(shelf, undisturbed):
-    class Backwards(Processes):
-        def completed(self, function, calls):
-            yield from reversed(list(super().completed(function, calls)))
-
-    compute(toy(pause=0.0), parameter_set(), shelf, Backwards(1))
+def test_runs_that_end_in_another_order_make_the_same_tables(shelf, undisturbed, monkeypatch):
+    monkeypatch.setattr(sweep, "completed", lambda *given: reversed([*completed(*given)]))
+    compute(toy(pause=0.0), parameter_set(), shelf, Processes(1))
     assert table_bytes(shelf.folder) == undisturbed
 
 
@@ -93,7 +92,7 @@ def test_a_sweep_on_a_dask_cluster_makes_the_same_tables(shelf, undisturbed, mon
 
 def test_a_worker_with_another_source_computes_nothing():
     draw = toy(seeds=(1,)).runs(parameter_set())[0].parameters
-    assert attempt(compute_sample, draw, run_identity(compute_sample, draw)).failure == ""
+    assert attempt(compute_sample, draw, run_identity(compute_sample, draw).digest).failure == ""
     assert "another source" in attempt(compute_sample, draw, "identity of older source").failure
 
 
@@ -121,7 +120,7 @@ def test_the_runs_beside_a_failed_one_are_kept_and_the_report_is_a_line(shelf):
 def test_an_error_lets_the_workers_go_at_once():
     def interrupted():
         with Processes(2) as workers:
-            for _ in workers.completed(time.sleep, [(0.0,), (1000.0,), (1000.0,)]):
+            for _ in completed(workers, time.sleep, [(0.0,), (1000.0,), (1000.0,)]):
                 raise KeyboardInterrupt
 
     started = time.perf_counter()
@@ -137,10 +136,10 @@ def test_an_error_does_not_wait_for_preparations_that_nobody_needs_any_more(tmp_
         )
         for i in range(5)
     ]
-    asked = [(one, Store(one.name, tmp_path)) for one in (*slow, toy(range(90, 92), 0.0))]
+    asked = tasks(tmp_path, *slow, toy(range(90, 92), 0.0))
     started = time.perf_counter()
-    swept = compute_all(asked, parameter_set(), Processes(1))
-    assert next(swept).experiment.name == "toy"
+    swept = compute_all(asked, Processes(1))
+    assert next(swept).task.experiment.name == "toy"
     swept.close()
     assert time.perf_counter() - started < 2.0
 
@@ -149,28 +148,32 @@ def test_what_is_submitted_later_is_done_before_what_is_still_to_be_handed_out(t
     naps = [(tmp_path / "naps", 0.01)] * 60
     with Processes(2) as workers:
         urgent = None
-        for _ in workers.completed(nap, naps):
+        for _ in completed(workers, nap, naps):
             urgent = urgent or workers.submit(nap, tmp_path / "urgent", 0.0)
             if urgent.done():
                 break
     assert (tmp_path / "naps").stat().st_size < len(naps)
 
 
-def nap(path: Path, duration: float):
-    time.sleep(duration)
-    with path.open("a") as file:
-        file.write(".")
-
-
-def test_a_worker_that_dies_takes_only_what_it_was_given_with_it():
+def test_a_dead_worker_fails_the_call_that_killed_it_and_no_other(tmp_path):
+    calls = [(tmp_path / "naps", 0.05)] * 9
+    calls[3] = (None, 0.05)  # it dies
     with Processes(2) as workers:
-        failed = sum(
-            result.exception() is not None
-            for _, result in workers.completed(os._exit, [(1,), (1,)])
-        )
-        assert failed == 2
-        alive = [result.result() for _, result in workers.completed(abs, [(-1,), (-2,)])]
+        failed = [index for index, done in completed(workers, nap, calls) if done.exception()]
+        assert failed == [3]
+        alive = [done.result() for _, done in completed(workers, abs, [(-1,), (-2,)])]
     assert sorted(alive) == [1, 2]
+
+
+def test_an_error_in_the_tables_of_one_experiment_leaves_the_others_alone(tmp_path):
+    toys = toy(range(3), 0.0)
+    wrong = replace(renamed(toys, "wrong"), tabulate=lambda *_: {"ratio": 1 / 0})
+    swept = shared_sweep(wrong, toys, tmp_path, Processes(1))
+    assert [one.failure for one in swept] == [
+        "wrong: the tables failed, the runs are kept: division by zero", ""
+    ]  # fmt: skip
+    assert table_bytes(tmp_path / "toy")
+    assert not list((tmp_path / "wrong").glob("*.*"))
 
 
 # --- interruptions ----------------------------------------------------------------------
@@ -207,7 +210,7 @@ def test_a_death_at_any_write_changes_nothing_in_the_end(tmp_path, monkeypatch):
             monkeypatch.setattr(stores.os, "replace", dies_at(write, before))
             with contextlib.suppress(Death):
                 compute(experiment, parameters, shelf, Processes(1))
-                assert deaths == 2 * 9  # three runs of two files, two tables, one record
+                assert deaths == 2 * 12  # three runs of two files, twice two tables and one record
                 return
             deaths += 1
             monkeypatch.setattr(stores.os, "replace", replace)
@@ -217,17 +220,15 @@ def test_a_death_at_any_write_changes_nothing_in_the_end(tmp_path, monkeypatch):
             assert not any(name.startswith(".writing-") for name in shelf.provenance()["files"])
 
 
-def test_what_dead_writers_and_former_definitions_leave_is_cleared_away(shelf):
-    compute(toy(seeds=range(2), pause=0.0), parameter_set(), shelf, Processes(1))
-    former = {path.name for path in shelf.folder.glob("runs/*")}
+def test_what_dead_writers_leave_is_cleared_away(shelf):
     old, new = shelf.folder / ".writing-old", shelf.folder / "runs" / ".writing-new"
     for path in (old, new):
+        path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(b"half a ta")
     os.utime(old, (0, 0))
-    compute(toy(seeds=range(2), pause=0.001), parameter_set(), shelf, Processes(1))
+    compute(toy(seeds=range(2), pause=0.0), parameter_set(), shelf, Processes(1))
     assert not old.exists()
     assert new.exists()  # another sweep may be writing it
-    assert former.isdisjoint(path.name for path in shelf.folder.glob("runs/*"))
 
 
 def test_a_table_that_was_changed_by_hand_is_made_again(shelf):
@@ -284,16 +285,16 @@ def test_a_sweep_killed_ten_times_ends_with_the_tables_of_an_undisturbed_one(
     random = np.random.default_rng(2401)
     killed_at_work = 0
     for kill in range(KILLS):
-        sweep = start("run", "--jobs", "2")
+        killed = start("run", "--jobs", "2")
         present = computed(shelf)
         while kill % 2 and computed(shelf) == present:  # every second one when it is at work
             time.sleep(0.005)
         time.sleep(random.uniform(0.0, 0.15))
-        family = [sweep, *sweep.children(recursive=True)]
+        family = [killed, *killed.children(recursive=True)]
         if kill % 4 < 2:
-            os.killpg(sweep.pid, signal.SIGKILL)
+            os.killpg(killed.pid, signal.SIGKILL)
         else:
-            sweep.kill()
+            killed.kill()
         assert status() == -signal.SIGKILL
         assert not psutil.wait_procs(family, timeout=PATIENCE)[1]  # workers end as well
         killed_at_work += computed(shelf) > present
@@ -366,8 +367,11 @@ def test_only_whole_runs_of_the_same_definition_are_taken_over(tmp_path):
 
 def shared_sweep(first, second, folder, workers):
     """Both experiments in one sweep; what it says of each, in the order in which it does."""
-    asked = [(one, Store(one.name, folder)) for one in (first, second)]
-    return list(compute_all(asked, parameter_set(), workers))
+    return list(compute_all(tasks(folder, first, second), workers))
+
+
+def tasks(folder, *experiments):
+    return [Task(one, parameter_set(), Store(one.name, folder)) for one in experiments]
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
@@ -379,7 +383,7 @@ def test_what_two_experiments_of_a_sweep_share_is_computed_once(tmp_path, jobs):
     compute(others, parameters, alone, Processes(1))
     with Processes(jobs) as workers:
         swept = shared_sweep(toys, others, tmp_path / "both", workers)
-    assert [(one.experiment.name, one.computed) for one in swept] == [("toy", 4), ("other", 1)]
+    assert [(one.task.experiment.name, one.computed) for one in swept] == [("toy", 4), ("other", 1)]
     shelf = Store("other", tmp_path / "both")
     assert table_bytes(shelf.folder) == table_bytes(alone.folder)
     assert all(shelf.has(run) for run in others.runs(parameters))
@@ -398,13 +402,11 @@ def test_a_failed_run_that_two_experiments_share_is_reported_by_both(tmp_path):
 def test_an_experiment_has_its_tables_before_the_next_is_computed(tmp_path):
     toys, others = toy(range(3), 0.0), renamed(toy(range(10, 13), 0.0), "other")
     shelf = Store("other", tmp_path)
-    sweep = compute_all(
-        [(toys, Store("toy", tmp_path)), (others, shelf)], parameter_set(), Processes(1)
-    )
-    assert next(sweep).experiment is toys
+    swept = compute_all(tasks(tmp_path, toys, others), Processes(1))
+    assert next(swept).task.experiment is toys
     assert table_bytes(tmp_path / "toy")
     assert not any(shelf.has(run) for run in others.runs(parameter_set()))
-    assert next(sweep).experiment is others
+    assert next(swept).task.experiment is others
 
 
 def test_runs_that_need_no_preparation_do_not_wait_for_it(tmp_path):
@@ -412,9 +414,8 @@ def test_runs_that_need_no_preparation_do_not_wait_for_it(tmp_path):
     toys = toy(range(3), 0.0, prepare=lambda _: done.append(prompt.wait(PATIENCE)))
     prompt = threading.Event()
     others = renamed(toy(range(10, 13), 0.0), "other")
-    asked = [(toys, Store("toy", tmp_path)), (others, Store("other", tmp_path))]
-    sweep = compute_all(asked, parameter_set(), Processes(1))
-    assert next(sweep).experiment is others
+    swept = compute_all(tasks(tmp_path, toys, others), Processes(1))
+    assert next(swept).task.experiment is others
     prompt.set()
-    assert next(sweep).experiment is toys
+    assert next(swept).task.experiment is toys
     assert done == [True]  # and once

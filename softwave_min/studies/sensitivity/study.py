@@ -23,7 +23,7 @@ import pandas as pd
 
 from softwave_min.experiments.closed_loop import prepare
 from softwave_min.parameters import parameter_set
-from softwave_min.runs.executor import Workers
+from softwave_min.runs.executor import Executor
 from softwave_min.runs.experiment import Experiment, RunArrays, Tables
 from softwave_min.runs.store import Store
 from softwave_min.runs.sweep import compute
@@ -39,7 +39,7 @@ NAME = "sensitivity"
 """Folder of its results."""
 
 
-def investigate(store: Store, workers: Workers, settings: Study) -> list[str]:
+def investigate(store: Store, workers: Executor, settings: Study) -> list[str]:
     """Go through the steps and write their tables; the fields of the important values.
 
     Tables ``screening``, ``indices`` and ``prediction``, and the evaluations that each was
@@ -53,7 +53,7 @@ def investigate(store: Store, workers: Workers, settings: Study) -> list[str]:
     return chosen
 
 
-def _evaluate(samples: Sequence[Sample], store: Store, workers: Workers, settings: Study) -> None:
+def _evaluate(samples: Sequence[Sample], store: Store, workers: Executor, settings: Study) -> None:
     """Judge the sets that are missing, and write the tables of all."""
     runs = [sample.run(settings) for sample in samples]
     step = Experiment(

@@ -7,7 +7,7 @@ import zlib
 from datetime import UTC, datetime
 from pathlib import Path
 
-from softwave_min.data import ParameterError
+from softwave_min.data import ParameterError, note_read
 
 
 def read_lines(path: Path, encoding: str = "utf-8-sig") -> list[str]:
@@ -18,6 +18,7 @@ def read_lines(path: Path, encoding: str = "utf-8-sig") -> list[str]:
     ParameterError
         If there is no such file, or it cannot be read, or is no text.
     """
+    note_read(path)
     try:
         content = path.read_bytes()
         if path.suffix == ".gz":
