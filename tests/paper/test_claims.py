@@ -665,14 +665,14 @@ def test_a_column_that_is_not_there_is_said_with_its_claim(changed):
 @pytest.fixture
 def number(tmp_path):
     (tmp_path / "e").mkdir()
-    table = "seed,pose,a,b,on\n1,P1,1,2,True\n1,P2,3,4,False\n2,P1,2,8,True\n2,P2,6,,True\n"
+    table = "seed,pose,a,b,seen\n1,P1,1,2,True\n1,P2,3,4,False\n2,P1,2,8,True\n2,P2,6,,True\n"
     (tmp_path / "e" / "t.csv").write_text(table)
     return Tables(tmp_path).measured
 
 
 def test_numbers_are_taken_from_a_table_as_asked(number):
     assert number("select a from e.t where seed = 1 and pose = 'P2'").number == 3
-    assert number("select sum(a) from e.t where pose in ('P1') and on").number == 3
+    assert number("select sum(a) from e.t where pose in ('P1') and seen").number == 3
     assert np.isnan(number("select avg(a) from e.t where pose = 'P3'").number)
     assert number("select share(b < 3) from e.t").number == 0.25  # what is missing is not below
     assert tuple(number("select a, a, b from e.t where seed = 1 and pose = 'P1'")) == (1, 1, 2)
