@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from segments import with_segments
 
 from softwave_min.arm import pack_flow
 from softwave_min.experiments import ablations
@@ -310,6 +311,18 @@ def test_the_range_over_the_periods_is_that_of_each_sea(tables):
     settled_rows = spreads[spreads.window == "settled"]
     np.testing.assert_allclose(settled_rows.spread[settled_rows.control_period < 0.2], expected)
     assert (spreads.spread_least <= spreads.spread).all()
+
+
+@pytest.mark.parametrize("segments", [2, 4, 5])
+def test_arms_of_any_number_of_segments_have_ablations(nominal, segments):
+    short = varied(with_segments(nominal, segments), (("simulation.duration", 0.3),))
+    first, *_, last = runs(short)
+    for run in (first, last):
+        found = run.compute(run.parameters)
+        for ablation in run.parameters.ablations:
+            assert np.isfinite(found[f"{ablation.name}_error"]).all()
+    made_up = {run.name: series(run) for run in runs(short)}
+    assert not tabulate(short, made_up)["summary"].isna().any(axis=None)
 
 
 def test_every_figure_says_how_many_solves_failed(nominal, tables):

@@ -8,6 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
+from segments import with_segments
 
 from softwave_min.control.problem import Status
 from softwave_min.data import ParameterError
@@ -334,6 +335,18 @@ def test_failed_solves_are_seen_in_the_figure(short, arrays, tables):
     ), short)["star_trajectory"]  # fmt: skip
     assert "crosses at the 2 solves" in marked.caption
     assert svg(marked) != svg(well["star_trajectory"])
+    plt.close("all")
+
+
+@pytest.mark.parametrize("segments", [2, 4, 5])
+def test_arms_of_any_number_of_segments_follow_the_star(short, segments):
+    """The NMPC takes the arm of two to a posture beside the star: no closing time."""
+    other = with_segments(short, segments)
+    found = {run.name: run.compute(run.parameters) for run in EXPERIMENT.runs(other)}
+    tables = EXPERIMENT.tabulate(other, found)
+    assert np.isfinite(tables["star"][list(METRICS)]).all(axis=None)
+    shelf = SimpleNamespace(load_run=lambda run: found[run.name], read_table=tables.get)
+    assert all(svg(drawing) for drawing in draw(shelf, other).values())
     plt.close("all")
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from segments import with_segments
 
 from softwave_min.experiments.star_drag import EXPERIMENT, LOADS, loaded
 from softwave_min.experiments.star_loops import scenario_on_star
@@ -50,8 +51,9 @@ def test_errors_are_those_with_the_start_and_without():
     assert set(table["solves_failed"]) == {2}
 
 
-def test_the_table_has_the_error_of_each_loop():
-    nominal = parameter_set()
+@pytest.mark.parametrize("segments", [3, 2])
+def test_the_table_has_the_error_of_each_loop(segments):
+    nominal = with_segments(parameter_set(), segments)
     short = replace(nominal, simulation=replace(nominal.simulation, duration=11.0))
     runs = EXPERIMENT.runs(short)
     arrays = {run.name: run.compute(run.parameters) for run in runs}

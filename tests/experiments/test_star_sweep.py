@@ -7,6 +7,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
+from segments import with_segments
 
 from softwave_min.experiments import star
 from softwave_min.experiments.star import choice
@@ -49,6 +50,15 @@ def test_nominal_star_of_the_sweep_is_the_nominal_run(short, table):
     for wave in (STILL, "W3"):
         found = [swept[wave][metric] for metric in METRICS]
         assert found == pytest.approx([nominal[metric][wave] for metric in METRICS], rel=1e-9)
+
+
+def test_arms_of_two_segments_follow_the_sweep(short):
+    two = with_segments(short, 2)
+    first, *others = EXPERIMENT.runs(two)
+    found = first.compute(first.parameters)
+    swept = EXPERIMENT.tabulate(two, {run.name: found for run in (first, *others)})["star_sweep"]
+    assert len(swept) == len(METRICS) * len(sweep_points())
+    assert np.isfinite(swept["deviation"]).all()
 
 
 def test_candidates_are_near_the_paper_in_every_sea(table):

@@ -41,6 +41,15 @@ def die(_):
     os._exit(1)
 
 
+def nap(path, duration):
+    """Sleep, and leave a mark in the file; without one, die."""
+    time.sleep(duration)
+    if path is None:
+        os._exit(1)
+    with path.open("a") as file:
+        file.write(".")
+
+
 def toy(seeds=range(RUNS), pause=PAUSE, **options):
     """The experiment: one random sample for each seed."""
     from softwave_min.runs.experiment import Experiment, Run

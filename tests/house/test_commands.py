@@ -11,6 +11,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from toy_sweep import die, install, toy
@@ -18,6 +19,7 @@ from toy_sweep import die, install, toy
 from softwave_min import commands
 from softwave_min.command_line import main
 from softwave_min.data import ROOT, data_folder
+from softwave_min.figures import files
 from softwave_min.runs import compare, executor
 from softwave_min.runs.experiment import Run, Tolerance
 from softwave_min.studies.catalogue import NAMES, experiment
@@ -203,7 +205,7 @@ def files_below(folder):
     return sorted(
         path.relative_to(folder).as_posix()
         for path in folder.rglob("*")
-        if path.is_file() and path.parent.name != "runs"
+        if path.is_file() and "runs" not in path.parts
     )
 
 
@@ -279,6 +281,31 @@ def test_a_failed_run_is_exit_status_1_and_no_tables(tmp_path, toys):
     assert files_below(tmp_path / "results") == []
 
 
+def test_a_dry_run_says_what_is_missing_or_stale_and_why(tmp_path, toys):
+    def planned(known=THREE):
+        return toys("run", "--dry-run", known=known).strip()
+
+    assert planned().startswith("toy: compute 3 of 3 runs; tables: not recorded")
+    assert not (tmp_path / "results").exists()
+    toys("run", "--jobs", "1")
+    assert planned() == "toy: up to date"
+    (longer,) = planned(known=toy(range(4), 0.0)).splitlines()
+    assert longer == "toy: compute 1 of 4 runs; tables: parameters; figures: tables"
+
+
+def test_figures_that_fail_are_exit_status_1_and_leave_the_others_alone(toys, monkeypatch):
+    monkeypatch.setattr(commands, "draw_files", fails_for_toy)
+    other = replace(THREE, name="other")
+    printed = toys("run", "--jobs", "1", known=(THREE, other), status=1)
+    assert "other: figures drawn" in printed
+    assert "toy: figures drawn" not in printed
+
+
+def fails_for_toy(store, _):
+    if store.experiment == "toy":
+        raise ZeroDivisionError
+
+
 def test_figures_are_drawn_though_a_run_takes_the_painter_along(toys, monkeypatch):
     fatal = replace(THREE, name="fatal", runs=lambda _: [Run(f"d{i}", die, i) for i in range(2)])
     monkeypatch.setattr(commands, "draw_files", drawn_slowly)
@@ -289,6 +316,20 @@ def test_figures_are_drawn_though_a_run_takes_the_painter_along(toys, monkeypatc
 
 def drawn_slowly(*_):
     time.sleep(1.0)
+
+
+def test_a_figure_is_closed_once_it_is_written(toys, monkeypatch):
+    import matplotlib.pyplot as plt
+
+    from softwave_min.figures.style import Drawing
+
+    figures = SimpleNamespace(
+        draw=lambda *_: {"toy": Drawing(plt.subplots()[0], "A toy.", "A toy.")}
+    )
+    monkeypatch.setattr(files, "import_module", lambda _: figures)
+    open_before = plt.get_fignums()
+    assert "toy: figures drawn" in toys("run", "--jobs", "1")
+    assert plt.get_fignums() == open_before == []
 
 
 # --- against the committed tables -------------------------------------------------------
@@ -303,6 +344,7 @@ def committed(tmp_path, toys, monkeypatch):
         toys("run", "--jobs", "1")
         path = tmp_path / "results" / "toy" / name
         path.write_text(change(path.read_text() if path.exists() else ""))
+        (tmp_path / ".gitignore").write_text("runs/\n")
         author = ("-c", "user.name=nobody", "-c", "user.email=nobody@localhost")
         for arguments in (("init", "-q"), ("add", "results"), (*author, "commit", "-qm", "all")):
             assert command("git", *arguments, folder=tmp_path).returncode == 0
@@ -350,6 +392,30 @@ def test_verify_has_nothing_to_say_where_nothing_is_committed(refusal):
     assert "no tables are committed" in refusal("verify", "toy")
 
 
+def test_a_strict_comparison_without_a_commit_fails_in_one_line(
+    tmp_path, toys, monkeypatch, capsys
+):
+    monkeypatch.setattr(compare, "ROOT", tmp_path)
+    toys("run", "--jobs", "1")
+    assert "no committed table" in toys("compare")
+    assert main(["compare", "--strict"]) == 1
+    printed = capsys.readouterr()
+    assert (printed.out, printed.err.count("\n")) == ("", 1)
+    assert "no commit to compare with" in printed.err
+
+
+def test_what_is_compared_was_made_here_though_the_committed_tables_stay(tmp_path, committed, toys):
+    committed()
+    command("git", "checkout", "-q", "results", folder=tmp_path)
+    lenient = toy(range(3), 0.0, tolerances={"mean": Tolerance(2e-3)})
+    toys("run", "--jobs", "1", known=lenient)
+    table = tmp_path / "results/toy/runs/tables/means.csv"
+    table.write_text(off_by_a_thousandth(table.read_text()))
+    assert "largest relative difference 1.0e-03" in toys("compare", "--strict", known=lenient)
+    assert "DIFFER" in toys("compare", "--strict", status=1)
+    assert command("git", "status", "--porcelain", "results", folder=tmp_path).stdout == ""
+
+
 # --- freshness --------------------------------------------------------------------------
 
 
@@ -373,16 +439,23 @@ def test_results_that_were_never_computed_are_missing_and_no_error(tmp_path, cap
     assert capsys.readouterr().out.splitlines() == [f"{name}: missing" for name in NAMES]
 
 
-def test_another_drag_makes_stale_what_depends_on_it_and_nothing_else(house):
+@pytest.mark.parametrize(
+    ("file", "field", "stale", "not_stale"),
+    [
+        ("parameters/calibrated.toml", "drag_coefficient", "example_case", "spectra"),
+        ("paper/error_ratio.toml", "below_one", "error_ratio", "example_case"),
+    ],
+)
+def test_another_number_makes_stale_what_depends_on_it_and_nothing_else(
+    house, file, field, stale, not_stale
+):
     assert freshness(house) == (0, dict.fromkeys(NAMES, "committed"))
-    path = house / "data/parameters/calibrated.toml"
-    path.write_text(
-        re.sub(r"(?m)^drag_coefficient = [\d.]+", "drag_coefficient = 1.2", path.read_text())
-    )
+    path = house / "data" / file
+    path.write_text(re.sub(rf"(?m)^(\w*{field}\w* = )[\d.]+", r"\g<1>1.2", path.read_text()))
     status, found = freshness(house)
     assert status == 1
-    assert found["spectra"] == "committed"
-    assert found["example_case"] == "stale"
+    assert found[not_stale] == "committed"
+    assert found[stale] == "stale"
 
 
 # --- make -------------------------------------------------------------------------------

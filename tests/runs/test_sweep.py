@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 import psutil
 import pytest
-from toy_sweep import RUNS, Draw, toy
+from toy_sweep import RUNS, Draw, nap, toy
 from toy_sweep import compute as compute_sample
 
 from softwave_min.data import ROOT
@@ -155,28 +155,14 @@ def test_what_is_submitted_later_is_done_before_what_is_still_to_be_handed_out(t
     assert (tmp_path / "naps").stat().st_size < len(naps)
 
 
-def nap(path: Path, duration: float):
-    time.sleep(duration)
-    with path.open("a") as file:
-        file.write(".")
-
-
 def test_a_dead_worker_fails_the_call_that_killed_it_and_no_other(tmp_path):
     calls = [(tmp_path / "naps", 0.05)] * 9
-    calls[3] = (None, 0.05)
+    calls[3] = (None, 0.05)  # it dies
     with Processes(2) as workers:
-        failed = [
-            index for index, done in completed(workers, nap_or_die, calls) if done.exception()
-        ]
+        failed = [index for index, done in completed(workers, nap, calls) if done.exception()]
         assert failed == [3]
         alive = [done.result() for _, done in completed(workers, abs, [(-1,), (-2,)])]
     assert sorted(alive) == [1, 2]
-
-
-def nap_or_die(path: Path | None, duration: float):
-    if path is None:
-        os._exit(1)
-    nap(path, duration)
 
 
 def test_an_error_in_the_tables_of_one_experiment_leaves_the_others_alone(tmp_path):
