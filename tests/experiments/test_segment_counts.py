@@ -14,9 +14,7 @@ from softwave_min.experiments.closed_loop import closed_loops
 from softwave_min.experiments.failures import failure_cases, ordinal
 from softwave_min.experiments.resting_arm import (
     RestingArm,
-    RestRun,
     area,
-    at_rest,
     reach,
     workspace,
 )
