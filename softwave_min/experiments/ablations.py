@@ -88,10 +88,10 @@ def pose_ablations(parameters: ParameterSet) -> tuple[Ablation, ...]:
     textbook = (("fluid.morison", "textbook"),)
 
     def forecast(name: str, label: str, *changes: tuple[str, Any], hold: bool = False) -> Ablation:
-        return Ablation(f"preview_{name}", "preview", label, "nmpc", changes, hold)
+        return Ablation(f"preview_{name}", "preview", label, NMPC, changes, hold)
 
     def fairer(name: str, label: str, *changes: tuple[str, Any]) -> Ablation:
-        return Ablation(f"baseline_{name}", "opponent", label, "baseline", changes)
+        return Ablation(f"baseline_{name}", "opponent", label, BASELINE, changes)
 
     return (
         Ablation(NMPC, "nominal", "NMPC", "nmpc"),
@@ -106,16 +106,9 @@ def pose_ablations(parameters: ParameterSet) -> tuple[Ablation, ...]:
         ),
         forecast("present", "present flow, held", hold=True),
         forecast("none", "still water", ("preview.waves", False), ("preview.noise", "none")),
-        Ablation(
-            f"textbook_{NMPC}", "load", "NMPC", "nmpc", textbook, opponent=f"textbook_{BASELINE}"
-        ),
-        Ablation(
-            f"textbook_{BASELINE}",
-            "load",
-            "baseline",
-            "baseline",
-            textbook,
-            opponent=f"textbook_{NMPC}",
+        *(
+            Ablation(f"textbook_{one}", "load", label, one, textbook, opponent=f"textbook_{other}")
+            for one, label, other in ((NMPC, "NMPC", BASELINE), (BASELINE, "baseline", NMPC))
         ),
         fairer("integral_half", "integral, half gain", ("baseline.integral_gain", gain / 2)),
         fairer("integral", "integral", *integral),

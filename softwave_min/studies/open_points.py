@@ -9,6 +9,7 @@ reproduced.
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -89,16 +90,11 @@ class _Effect:
     """What came of an alternative."""
 
     status: str
-    nominal: Sequence[Numbers] = ()
-    """In each sea."""
-    other: Sequence[Numbers] = ()
+    nominal: Mapping[str, Floats] = dataclasses.field(default_factory=dict)
+    """By number, (seas,) each."""
+    other: Mapping[str, Floats] = dataclasses.field(default_factory=dict)
     seconds: float = 0.0
     """Duration of the loops."""
-
-    @property
-    def solves_failed(self) -> int:
-        """Most in one sea."""
-        return max((int(one[FAILED]) for one in self.other), default=0)
 
 
 def alternatives(parameters: ParameterSet) -> list[Alternative]:
@@ -195,8 +191,7 @@ def tabulate(parameters: ParameterSet, arrays: RunArrays) -> Tables:
     scatter = _scatter_table(
         [of[loops(nominal, "", offset)] for offset in range(_scatter_seas(others))]
     )
-    found = [(one, _effect(one, nominal, of)) for one in others]
-    effects = _effect_table(found, list(scatter["number"]))
+    effects = _effect_table([(one, _effect(one, nominal, of)) for one in others], scatter)
     return {"effects": effects, "points": _point_table(effects, scatter), "scatter": scatter}
 
 
@@ -205,9 +200,11 @@ def _scatter_table(found: Sequence[Numbers]) -> pd.DataFrame:
 
     ``scatter`` is half of it; ``allowance`` is that or the tolerance of a claim, if larger.
     """
-    papers = _papers()
+    papers = {one.name: one.paper for one in search_settings().number if not one.at_most}
     rows = []
     for number, values in _stacked(found).items():
+        if number == FAILED:
+            continue
         low, median, high = over_seas(values)
         group = group_of(number)
         unit, paper = GROUPS.get(group, "points"), papers.get(number)
@@ -231,12 +228,7 @@ def _scatter_table(found: Sequence[Numbers]) -> pd.DataFrame:
 
 def _stacked(found: Sequence[Numbers]) -> dict[str, Floats]:
     """Numbers of several seas, (seas,) each."""
-    names = [name for name in found[0] if name != FAILED]
-    return {name: np.array([float(one[name]) for one in found]) for name in names}
-
-
-def _papers() -> dict[str, float]:
-    return {one.name: one.paper for one in search_settings().number if not one.at_most}
+    return {name: np.array([float(one[name]) for one in found]) for name in found[0]}
 
 
 def _effect(one: Alternative, nominal: ParameterSet, of: Mapping[HeadlineRun, Numbers]) -> _Effect:
@@ -244,55 +236,53 @@ def _effect(one: Alternative, nominal: ParameterSet, of: Mapping[HeadlineRun, Nu
         return _Effect(f"cannot be set: {one.refusal}")
     seas = offsets(one.field)
     usual = [loops(nominal, one.field, offset) for offset in seas]
-    seconds = usual[0].parameters.simulation.duration
-    before = [of[run] for run in usual]
+    before = _stacked([of[run] for run in usual])
     if one.field == REALISATIONS:
         many = _stacked([of[loops(nominal, "", offset)] for offset in range(one.value)])
-        median: Numbers = {name: np.array(np.median(values)) for name, values in many.items()}
-        failed = {FAILED: np.array(max(int(run[FAILED]) for run in before))}
-        return _Effect(MEASURED, before, [{**median, **failed}] * len(seas), seconds)
-    after = [of[loops(one.parameters, one.field, offset)] for offset in seas]
-    reasons = [str(found["failure"]) for found in after if "failure" in found]
-    if reasons:
-        return _Effect(f"cannot run: {reasons[0]}")
-    return _Effect(MEASURED, before, after, seconds)
+        after = {name: np.full(len(seas), np.median(values)) for name, values in many.items()}
+        after[FAILED] = before[FAILED]
+    else:
+        found = [of[loops(one.parameters, one.field, offset)] for offset in seas]
+        for numbers in found:
+            if "failure" in numbers:
+                return _Effect(f"cannot run: {numbers['failure']}")
+        after = _stacked(found)
+    return _Effect(MEASURED, before, after, usual[0].parameters.simulation.duration)
 
 
 def _effect_table(
-    found: Sequence[tuple[Alternative, _Effect]], numbers: Sequence[str]
+    found: Sequence[tuple[Alternative, _Effect]], scatter: pd.DataFrame
 ) -> pd.DataFrame:
     """A row for each alternative and number.
 
     ``nominal``, ``alternative`` and ``difference`` are means over the seas, ``low`` and
     ``high`` the least and the largest difference in one of them.
     """
-    papers = _papers()
+    none = np.full(1, np.nan)
     rows = []
     for one, effect in found:
-        before, after = (
-            _stacked(numbers) if numbers else {} for numbers in (effect.nominal, effect.other)
-        )
-        none = np.full(1, np.nan)
-        for number in numbers:
-            usual, other = before.get(number, none), after.get(number, none)
+        for of_number in scatter.to_dict("records"):
+            usual, other = (
+                numbers.get(of_number["number"], none) for numbers in (effect.nominal, effect.other)
+            )
             difference = other - usual
             rows.append(
                 {
                     "point": one.point,
                     "field": one.field,
                     "value": one.written,
-                    "number": number,
-                    "group": group_of(number),
+                    "number": of_number["number"],
+                    "group": of_number["group"],
                     "status": effect.status,
-                    "seas": len(after and difference),
+                    "seas": len(difference) if effect.other else 0,
                     "seconds": effect.seconds,
                     "nominal": usual.mean(),
                     "alternative": other.mean(),
                     "difference": difference.mean(),
                     "low": difference.min(),
                     "high": difference.max(),
-                    "paper": papers.get(number),
-                    "solves_failed": effect.solves_failed,
+                    "paper": of_number["paper"],
+                    "solves_failed": int(max(effect.other.get(FAILED, [0]))),
                 }
             )
     return pd.DataFrame(rows)

@@ -135,9 +135,9 @@ def small():
     return replace(
         settings,
         screening=replace(settings.screening, trajectories=4, candidates=8, resamples=20),
-        important=replace(settings.important, values=3),
+        important=3,
         design=replace(settings.design, sets=32, resamples=20, indices_sample=256),
-        draws=replace(settings.draws, sets=5),
+        draws=5,
     )
 
 
@@ -201,7 +201,7 @@ def test_seas_are_numbered_apart_and_noise_goes_with_them():
     base = parameter_set(settings.base)
     assert {one.sea for one in screened} == {*range(settings.screening.levels)}
     unseen = [one.sea for one in tested if one.drawn == samples.OTHER_SEA]
-    assert len(set(unseen)) == settings.draws.sets
+    assert len(set(unseen)) == settings.draws
     assert not set(unseen) & {one.sea for one in screened}
     for one in tested[:3]:
         found = one.run(settings).parameters.parameters

@@ -46,13 +46,6 @@ class Screening:
 
 
 @validated(frozen=True, config=ConfigDict(extra="forbid"))
-class Important:
-    """How many values count as important."""
-
-    values: Count
-
-
-@validated(frozen=True, config=ConfigDict(extra="forbid"))
 class Design:
     """What the emulators are fitted to, and how."""
 
@@ -63,23 +56,18 @@ class Design:
 
 
 @validated(frozen=True, config=ConfigDict(extra="forbid"))
-class Draws:
-    """What the conclusion is tested on."""
-
-    sets: Count
-
-
-@validated(frozen=True, config=ConfigDict(extra="forbid"))
 class Study:
     """What data/studies/sensitivity.toml fixes."""
 
     seed: Seed
     base: str
     confidence: Positive
+    important: Count
+    """How many values count as important."""
+    draws: Count
+    """Sets on which the conclusion is tested."""
     screening: Screening
-    important: Important
     design: Design
-    draws: Draws
 
     def generator(self, step: int) -> np.random.Generator:
         """Random numbers of one step of the study."""
@@ -156,7 +144,7 @@ def draws(settings: Study, fields: Sequence[str]) -> list[Sample]:
     all in a sea that is none of the screening's.
     """
     every = open_fields()
-    shares = settings.generator(2).random((settings.draws.sets, len(every)))
+    shares = settings.generator(2).random((settings.draws, len(every)))
     found = []
     for index, row in enumerate(shares):
         alone = [row[every.index(one)] for one in fields]

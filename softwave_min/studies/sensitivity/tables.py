@@ -14,6 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from softwave_min.runs.statistics import rank_correlation
+from softwave_min.simulation import root_mean_square_error
 from softwave_min.studies.ranges import open_fields, plausible_ranges
 from softwave_min.studies.sensitivity.emulator import (
     Emulator,
@@ -123,7 +124,7 @@ def importance(table: pd.DataFrame) -> pd.Series[float]:
 
 def important(table: pd.DataFrame, settings: Study) -> list[str]:
     """The values that count as important, in the order of the open parameters."""
-    first = importance(table).drop(SEA).index[: settings.important.values]
+    first = importance(table).drop(SEA).index[: settings.important]
     return [field for field in open_fields() if field in first]
 
 
@@ -214,11 +215,11 @@ def prediction_table(
                     "drawn": drawn,
                     "draws": len(values),
                     "spread": float(np.std(values)),
-                    "rmse": _root_mean_square(values - predicted),
+                    "rmse": root_mean_square_error(values - predicted),
                     "explained": _explained(values, predicted),
                     "rank_correlation": float(np.nan_to_num(correlation)),
                     "coverage": float(np.mean(inside)),
-                    "left": _root_mean_square(values - on_scale(alone, number)),
+                    "left": root_mean_square_error(values - on_scale(alone, number)),
                 }
             )
     return pd.DataFrame(rows)
@@ -232,10 +233,6 @@ def _ends(estimates: Floats, replicates: Floats, settings: Study) -> Floats:
     """
     low, high = np.quantile(replicates, settings.quantiles, axis=1)
     return np.array([np.minimum(low, estimates), np.maximum(high, estimates)])
-
-
-def _root_mean_square(errors: Floats) -> float:
-    return float(np.sqrt(np.mean(errors**2)))
 
 
 def _explained(values: Floats, predicted: Floats) -> float:
