@@ -48,7 +48,7 @@ def lane_code(
     Parameters
     ----------
     function
-        Of scalar expressions (SX), with dense inputs and outputs.
+        Of scalar expressions (SX), with dense inputs; of a sparse output, the nonzeros.
     arguments
         How many at once.
     same
