@@ -174,7 +174,7 @@ class GaussNewton:
         of_inputs, k = jacobian.reshape(horizon, -1, horizon, n), np.arange(horizon)
         of_inputs[k, :, k] += by_command
         of_inputs[k[1:], :, k[:-1]] += by_former[1:]
-        return residual.ravel(order="F"), jacobian.reshape(residual.size, -1)
+        return residual.flatten(order="F"), jacobian.reshape(residual.size, -1)
 
     def step(self, inputs: Floats, residual: Floats, jacobian: Floats) -> Floats:
         """Minimise the linearised sum of squares within the bounds, (K, n)."""

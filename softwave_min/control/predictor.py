@@ -123,8 +123,8 @@ def period_cost_function(structure: Structure) -> ca.Function:
     """Residuals of one period (``problem.residuals``) with their derivatives.
 
     Inputs: x; the next x; the command's torque and its derivative by q_bar; those of
-    ``problem.Period`` but tip and torque; weights; gains; values. Outputs: the residuals;
-    their derivatives by the next q, by x, by q_bar and by the former q_bar.
+    ``problem.Period`` but tip and torque; weights; gains; values. Outputs: the residuals; their
+    derivatives by (next q, x, q_bar, former q_bar), transposed and without what is always zero.
     """
     n = structure.segments
     given, period = PeriodInputs.symbolic(structure), Period.symbolic(n)
@@ -135,26 +135,25 @@ def period_cost_function(structure: Structure) -> ca.Function:
     residual, by_tip, by_torque, by_command, by_former = residual_slopes_function(n)(
         end["tip"], end["torque"], *rest.values(), weights
     )
-    return dense_function(
-        "period_cost",
-        {
-            "x": x,
-            "next": after,
-            "command_torque": given.command_torque,
-            "command_slope": slope,
-            **rest,
-            "weights": weights,
-            "gains": given.gains,
-            "values": given.packed,
-        },
-        {
-            "residual": residual,
-            "by_angles": by_tip @ end["tip_jacobian"],
-            "by_state": by_torque @ end["torque_by_state"],
-            "by_command": by_command + by_torque @ end["torque_by_command"],
-            "by_former": by_former,
-        },
-    )
+    slopes = [
+        by_tip @ end["tip_jacobian"],
+        by_torque @ end["torque_by_state"],
+        by_command + by_torque @ end["torque_by_command"],
+        by_former,
+    ]
+    inputs = {
+        "x": x,
+        "next": after,
+        "command_torque": given.command_torque,
+        "command_slope": slope,
+        **rest,
+        "weights": weights,
+        "gains": given.gains,
+        "values": given.packed,
+    }
+    outputs = ca.cse([residual, ca.sparsify(ca.horzcat(*slopes).T)])
+    names = (list(inputs), ["residual", "slopes"])
+    return ca.Function("period_cost", list(inputs.values()), outputs, *names)
 
 
 def _command(given: PeriodInputs, q_bar: ca.SX) -> tuple[ca.SX, ca.SX]:

@@ -83,17 +83,28 @@ def residuals(period: Period, weights: Weights) -> dict[str, ca.SX]:
     The paper's sum ends before the last predicted tip, which ``terminal_weight`` adds; a
     ``torque_bound`` of 0 is none.
     """
-    tip_weight = weights.tip_weight * ca.if_else(period.last, weights.terminal_weight, 1)
     bound = weights.torque_bound
-    torque_weight = ca.if_else(bound > 0, weights.torque_weight, 0)
-    beyond = ca.if_else(
-        ca.fabs(period.torque) > bound, period.torque - bound * ca.sign(period.torque), 0
-    )
-    return {
-        "tip_error": ca.sqrt(tip_weight) * (period.tip - period.reference),
-        "change_of_command": ca.sqrt(weights.step_weight) * (period.command - period.former),
-        "torque_beyond_bound": ca.sqrt(torque_weight) * beyond,
+    beyond = period.torque - bound * ca.sign(period.torque)
+    terms = {
+        "tip_error": (
+            weights.tip_weight * ca.if_else(period.last, weights.terminal_weight, 1),
+            period.tip - period.reference,
+        ),
+        "change_of_command": (weights.step_weight, period.command - period.former),
+        "torque_beyond_bound": (
+            ca.if_else(bound > 0, weights.torque_weight, 0),
+            ca.if_else(ca.fabs(period.torque) > bound, beyond, 0),
+        ),
     }
+    return {name: _root(weight) * error for name, (weight, error) in terms.items()}
+
+
+def _root(weight: ca.SX) -> ca.SX:
+    """Square root of a weight. That of 0 must not be differentiated, not even by a solver that
+    multiplies the derivative by 0.
+    """
+    positive = weight > 0
+    return ca.if_else(positive, ca.sqrt(ca.if_else(positive, weight, 1)), 0)
 
 
 @cache

@@ -13,11 +13,15 @@
 typedef void model_function(const double *const *arg, double *const *res);
 extern model_function command_torque, implicit_step, implicit_slopes, period_cost;
 
-/* What the model's functions take at once: ABREAST columns, WIDE periods. A period of the cost
- * has so many RESIDUALS. */
+/* What the model's functions take at once: ABREAST columns, WIDE periods. The cost has so many
+ * RESIDUALS for each period. Their derivatives that are not always zero are SLOPES, residual by
+ * residual: those of residual r begin at SLOPE_STARTS[r], and slope s is by variable SLOPE_OF[s]
+ * of (q after the period, state before it, command, former command). */
 #ifndef ABREAST
-#error "ABREAST, WIDE and RESIDUALS are those that the model was generated with"
+#error "ABREAST, WIDE, RESIDUALS, SLOPE_STARTS and SLOPE_OF are of the model's generated code"
 #endif
+static const int slope_starts[] = {SLOPE_STARTS}, slope_of[] = {SLOPE_OF};
+#define SLOPES ((int)(sizeof slope_of / sizeof *slope_of))
 
 enum status { CONVERGED, ITERATION_LIMIT, NO_DECREASE, NOT_FINITE };
 
@@ -60,7 +64,7 @@ typedef struct {
     double *wide_points; /* where each step of the rollout starts, and how the rates change */
     double *wide_a, *wide_b;
     double *wide_former, *wide_reference, *wide_last; /* what else the residuals depend on */
-    double *wide_residuals, *wide_by_angles, *wide_by_state, *wide_by_input, *wide_by_former;
+    double *wide_residuals, *wide_slopes;
     double *slope, *rates;  /* of one group of periods: derivatives of a step, n rows */
     double *begun, *chain; /* ... and of what has been gone of the period, 2 n rows */
     double *states;
@@ -103,10 +107,7 @@ static long cut(const engine *e, double *work, pieces *p) {
     p->wide_reference = take(work, &used, wide * 2);
     p->wide_last = take(work, &used, wide);
     p->wide_residuals = take(work, &used, wide * RESIDUALS);
-    p->wide_by_angles = take(work, &used, wide * RESIDUALS * n);
-    p->wide_by_state = take(work, &used, wide * RESIDUALS * x);
-    p->wide_by_input = take(work, &used, wide * RESIDUALS * n);
-    p->wide_by_former = take(work, &used, wide * RESIDUALS * n);
+    p->wide_slopes = take(work, &used, wide * SLOPES);
     p->slope = take(work, &used, n * columns);
     p->rates = take(work, &used, n * WIDE);
     p->begun = take(work, &used, x * columns);
@@ -243,16 +244,14 @@ static void begin_periods(const engine *e, pieces *p) {
 }
 
 static void end_periods(const engine *e, pieces *p) {
-    int n = e->segments, x = 2 * n, r = RESIDUALS;
+    int n = e->segments, x = 2 * n;
     for (int k = 0; k < e->horizon; k += WIDE) {
         const double *arg[] = {lane(p->wide_start, x, k),    lane(p->wide_next, x, k),
                                lane(p->wide_commands, n, k), lane(p->wide_command_slopes, n * n, k),
                                lane(p->wide_inputs, n, k),   lane(p->wide_former, n, k),
                                lane(p->wide_reference, 2, k), lane(p->wide_last, 1, k),
                                e->weights, e->predictor.gains, e->values};
-        double *res[] = {lane(p->wide_residuals, r, k), lane(p->wide_by_angles, r * n, k),
-                         lane(p->wide_by_state, r * x, k), lane(p->wide_by_input, r * n, k),
-                         lane(p->wide_by_former, r * n, k)};
+        double *res[] = {lane(p->wide_residuals, RESIDUALS, k), lane(p->wide_slopes, SLOPES, k)};
         period_cost(arg, res);
     }
 }
@@ -356,38 +355,39 @@ static void differentiate(const engine *e, pieces *p, int k) {
     follow_command(n, x, lane(p->wide_command_slopes, n * n, k), b, p->rates);
 }
 
-/* Add a factor times a row, and say whether that is anything. */
-static int add_scaled(double *to, double factor, const double *row, int columns) {
-    if (factor == 0) return 0;
-    for (int c = 0; c < columns; c++) to[c] += factor * row[c];
-    return 1;
+static void add_scaled(double *restrict to, double factor, const double *restrict row, int count) {
+    for (int c = 0; c < count; c++) to[c] += factor * row[c];
 }
 
-/* Add residual r of period k with its derivatives by all inputs to Hessian and half gradient.
- * It depends on the inputs by the angles after the period, by the state before it, and on the
- * last two directly; motion and previous_motion are the derivatives of those states. */
+/* Add residual r of period k with its derivatives by all inputs to Hessian and half gradient;
+ * motion and previous_motion are the derivatives of the states after and before the period. */
 static void add_residual(const engine *e, pieces *p, int k, int r) {
-    int n = e->segments, x = 2 * n, size = n * e->horizon, known = n * k, columns = known + n;
-    const double *by_angles = lane(p->wide_by_angles, RESIDUALS * n, k) + r * WIDE;
-    const double *by_state = lane(p->wide_by_state, RESIDUALS * x, k) + r * WIDE;
-    const double *by_input = lane(p->wide_by_input, RESIDUALS * n, k) + r * WIDE;
-    const double *by_former = lane(p->wide_by_former, RESIDUALS * n, k) + r * WIDE;
-    const double residual = lane(p->wide_residuals, RESIDUALS, k)[r * WIDE];
-    const int next = RESIDUALS * WIDE; /* column of a derivative */
+    int n = e->segments, size = n * e->horizon, known = n * k, columns = known + n;
+    int start = slope_starts[r], end = slope_starts[r + 1], first = known;
+    const double *slope = lane(p->wide_slopes, SLOPES, k);
     double *row = p->row;
-    int moves = 0, first = k ? known - n : 0;
-    for (int c = 0; c < columns; c++) row[c] = 0;
-    for (int m = 0; m < n; m++)
-        moves |= add_scaled(row, by_angles[m * next], p->motion + m * size, columns);
-    for (int m = 0; m < x; m++)
-        moves |= add_scaled(row, by_state[m * next], p->previous_motion + m * size, known);
-    for (int m = 0; m < n; m++) row[known + m] += by_input[m * next];
-    for (int m = 0; m < n && k; m++) row[known - n + m] += by_former[m * next];
-    for (int i = moves ? 0 : first; i < columns; i++) {
+    for (int s = start; s < end && first; s++)
+        if (slope[s * WIDE] != 0) first = slope_of[s] < 3 * n ? 0 : known - n;
+    for (int c = first; c < columns; c++) row[c] = 0;
+    for (int s = start; s < end; s++) {
+        double factor = slope[s * WIDE];
+        int by = slope_of[s];
+        if (factor == 0) continue;
+        if (by < 3 * n) {
+            add_scaled(row, factor, by < n ? p->motion + by * size : p->previous_motion + (by - n) * size,
+                       by < n ? columns : known);
+        } else if (by < 4 * n) {
+            row[known + by - 3 * n] += factor;
+        } else if (k) {
+            row[known + by - 5 * n] += factor;
+        }
+    }
+    double residual = lane(p->wide_residuals, RESIDUALS, k)[r * WIDE];
+    for (int i = first; i < columns; i++) {
         double factor = row[i], *h = p->hessian + i * size;
         if (factor == 0) continue;
         p->gradient[i] += factor * residual;
-        for (int c = i; c < columns; c++) h[c] += factor * row[c];
+        add_scaled(h + i, factor, row + i, columns - i);
     }
 }
 
@@ -406,8 +406,9 @@ static void condense(const engine *e, pieces *p) {
         for (int row = 0; row < x; row++) {
             double *out = p->motion + row * size;
             for (int c = 0; c < known; c++) out[c] = 0;
-            for (int m = 0; m < x; m++)
+            for (int m = 0; m < x; m++) {
                 add_scaled(out, a[(row + x * m) * WIDE], p->previous_motion + m * size, known);
+            }
             for (int c = 0; c < n; c++) out[known + c] = b[(row + x * c) * WIDE];
         }
         for (int r = 0; r < RESIDUALS; r++) add_residual(e, p, k, r);
@@ -425,8 +426,7 @@ static void factorise(const double *h, int size, const int *set, int count, doub
         double *ui = u + i * count, pivot = 1 / sqrt(ui[i]);
         for (int c = i; c < count; c++) ui[c] *= pivot;
         for (int m = i + 1; m < count; m++) {
-            double factor = ui[m], *um = u + m * count;
-            for (int c = m; c < count; c++) um[c] -= factor * ui[c];
+            add_scaled(u + m * count + m, -ui[m], ui + m, count - m);
         }
     }
 }

@@ -198,8 +198,15 @@ def _library(structure: Structure) -> ctypes.CDLL:
     constant = numbers | {"command_torque", "flow", "disturbance"}
     slopes, step = slopes_sum(structure), step_sum(structure)
     cost = period_cost_function(structure)
-    sizes = {"ABREAST": ABREAST, "WIDE": WIDE, "RESIDUALS": cost.numel_out("residual")}
-    defined = "".join(f"#define {name} {size}\n" for name, size in sizes.items())
+    pattern = cost.sparsity_out("slopes")
+    macros = {
+        "ABREAST": ABREAST,
+        "WIDE": WIDE,
+        "RESIDUALS": pattern.size2(),
+        "SLOPE_STARTS": str(pattern.colind())[1:-1],
+        "SLOPE_OF": str(pattern.row())[1:-1],
+    }
+    defined = "".join(f"#define {name} {value}\n" for name, value in macros.items())
     sources = {
         "engine.c": defined + own,
         "step.c": lane_code(step, ABREAST, constant, PLACES),
