@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from softwave_min.arm import Arm
 from softwave_min.arm.kinematics import curvature_moments
 
-BENDS = [0.0, 1e-12, -1e-6, 0.03, 0.49, -0.499, 0.5, -0.5, 0.7, -0.99, 2.5, -np.pi, 2 * np.pi]
+BENDS = [0.0, 1e-12, -1e-6, 0.03, 0.49, -0.499, 0.5, -0.5, 0.7, -0.99, 1.4, 2.5, -np.pi, 2 * np.pi]
 PLACES, WEIGHTS = np.polynomial.legendre.leggauss(60)
 
 
