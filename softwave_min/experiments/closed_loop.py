@@ -120,6 +120,12 @@ def closed_loops(run: LoopRun) -> dict[str, NDArray[Any]]:
     return found
 
 
+def errors_alone(run: LoopRun) -> dict[str, NDArray[Any]]:
+    """`closed_loops` with ``SUMMARY_FIELDS`` and no more, where there are many of them."""
+    found = closed_loops(run)
+    return {name: array for name, array in found.items() if name.endswith(SUMMARY_FIELDS)}
+
+
 def whole_record(run: LoopRun) -> dict[str, NDArray[Any]]:
     """Simulate a run of one controller; the arrays are the fields of ``ClosedLoop``."""
     (controller,) = run.controllers
