@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -112,15 +113,13 @@ def _curves(waves: pd.DataFrame, parameters: ParameterSet, failures: str) -> Dra
         places = dict(sorted({**nominal, **stepped}.items()))
         for wave, colour, dash in zip(dict.fromkeys(waves["wave"]), SERIES, DASHES, strict=False):
             ratio = settled[settled["wave"] == wave].set_index("variant")["ratio"]
-            axes.plot(
-                list(places),
-                ratio[list(places.values())],
-                color=colour,
-                linestyle=dash,
-                marker="o",
-                markersize=3.5,
-                label=wave,
-            )
+            look: dict[str, Any] = {
+                "color": colour,
+                "linestyle": dash,
+                "marker": "o",
+                "markersize": 3.5,
+            }
+            axes.plot(list(places), ratio[list(places.values())], label=wave, **look)
         axes.axhline(1.0, color=GREY, linestyle="-", linewidth=0.8)
         axes.set(title=title, xlabel=label, yscale="log")
         _plain(axes.yaxis, 1, 2, 5)
@@ -147,15 +146,13 @@ def _opponents(heights: pd.DataFrame, summary: pd.DataFrame) -> Drawing:
         part = heights[heights["window"] == window]
         for name, (label, colour, dash, marker) in OPPONENTS.items():
             one = part[part["variant"] == name].sort_values("Hs")
-            axes.plot(
-                one["Hs"],
-                one["against"],
-                color=colour,
-                linestyle=dash,
-                marker=marker,
-                markersize=4,
-                label=label,
-            )
+            look: dict[str, Any] = {
+                "color": colour,
+                "linestyle": dash,
+                "marker": marker,
+                "markersize": 4,
+            }
+            axes.plot(one["Hs"], one["against"], label=label, **look)
         axes.axhline(1.0, color=GREY, linestyle="-", linewidth=0.8)
         axes.set(title=title, xlabel="significant height, m", yscale="log")
         _plain(axes.yaxis, 1, 2, 5)
