@@ -294,6 +294,11 @@ def tables(short, arrays):
     return EXPERIMENT.tabulate(short, arrays)
 
 
+def shelf(arrays, tables):
+    """A store that has these."""
+    return SimpleNamespace(load_run=lambda run: arrays[run.name], read_table=tables.get)
+
+
 def test_table_has_every_sea_and_controller_and_still_water_once(tables):
     table = tables["star"]
     rows = list(zip(table.wave, table.controller, strict=True))
@@ -320,19 +325,14 @@ def test_drag_grows_with_the_speed_of_the_water(tables):
 
 def test_failed_solves_are_seen_in_the_figure(short, arrays, tables):
     apply()
-    store = SimpleNamespace(
-        load_run=lambda run: arrays[run.name], read_table=lambda stem: tables[stem]
-    )
-    well = draw(store, short)
+    well = draw(shelf(arrays, tables), short)
     assert set(well) == {"star_trajectory", "errors"}
     assert all(drawing.caption and drawing.alt for drawing in well.values())
     run = f"W3-{short.sea.seed}"
     status = arrays[run]["nmpc_status"].copy()
     status[[20, 50]] = Status.ITERATION_LIMIT
     failed = {**arrays, run: {**arrays[run], "nmpc_status": status}}
-    marked = draw(SimpleNamespace(
-        load_run=lambda run: failed[run.name], read_table=lambda stem: tables[stem]
-    ), short)["star_trajectory"]  # fmt: skip
+    marked = draw(shelf(failed, tables), short)["star_trajectory"]
     assert "crosses at the 2 solves" in marked.caption
     assert svg(marked) != svg(well["star_trajectory"])
     plt.close("all")
@@ -340,13 +340,12 @@ def test_failed_solves_are_seen_in_the_figure(short, arrays, tables):
 
 @pytest.mark.parametrize("segments", [2, 4, 5])
 def test_arms_of_any_number_of_segments_follow_the_star(short, segments):
-    """The NMPC takes the arm of two to a posture beside the star: no closing time."""
+    """That of two has no closing time: its NMPC stays beside the star."""
     other = with_segments(short, segments)
     found = {run.name: run.compute(run.parameters) for run in EXPERIMENT.runs(other)}
     tables = EXPERIMENT.tabulate(other, found)
     assert np.isfinite(tables["star"][list(METRICS)]).all(axis=None)
-    shelf = SimpleNamespace(load_run=lambda run: found[run.name], read_table=tables.get)
-    assert all(svg(drawing) for drawing in draw(shelf, other).values())
+    assert all(svg(drawing) for drawing in draw(shelf(found, tables), other).values())
     plt.close("all")
 
 
@@ -371,10 +370,8 @@ def test_a_third_controller_is_in_every_table_and_in_the_figure(short, arrays, m
     }
     tables = EXPERIMENT.tabulate(short, several)
     assert all("third" in set(table["controller"]) for table in tables.values())
-    shelf = SimpleNamespace(
-        load_run=lambda run: several[run.name], read_table=lambda stem: tables[stem]
-    )
-    _, labels = draw(shelf, short)["errors"].figure.axes[0].get_legend_handles_labels()
+    drawn = draw(shelf(several, tables), short)["errors"]
+    _, labels = drawn.figure.axes[0].get_legend_handles_labels()
     assert "third" in labels
     plt.close("all")
 

@@ -22,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
@@ -108,14 +109,17 @@ def _terms(shares: Floats, powers: Integers) -> Floats:
     return found
 
 
+def problem_in_shares(variables: int) -> dict[str, Any]:
+    """The variables as SALib wants them."""
+    names = [str(one) for one in range(variables)]
+    return {"num_vars": variables, "names": names, "bounds": [[0.0, 1.0]] * variables}
+
+
 def indices_sample(variables: int, size: int, seed: int) -> Floats:
     """Saltelli's sample in shares, (size (variables + 2), variables)."""
-    problem = {
-        "num_vars": variables,
-        "names": [str(one) for one in range(variables)],
-        "bounds": [[0.0, 1.0]] * variables,
-    }
-    return np.asarray(sobol.sample(problem, size, calc_second_order=False, seed=seed))
+    return np.asarray(
+        sobol.sample(problem_in_shares(variables), size, calc_second_order=False, seed=seed)
+    )
 
 
 def indices(values: Floats, variables: int) -> tuple[Floats, Floats]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +24,7 @@ from softwave_min.studies.ranges import (
     value_in,
     with_values,
 )
+from softwave_min.studies.sensitivity.emulator import problem_in_shares
 
 Floats = NDArray[np.float64]
 
@@ -111,7 +111,7 @@ def screening(settings: Study) -> list[Sample]:
     chosen = settings.screening
     fields = open_fields()
     grid = morris.sample(
-        _problem(len(fields) + 1),
+        problem_in_shares(len(fields) + 1),
         chosen.candidates,
         num_levels=chosen.levels,
         optimal_trajectories=chosen.trajectories,
@@ -157,12 +157,6 @@ def draws(settings: Study, fields: Sequence[str]) -> list[Sample]:
             values = _values(settings, named, of_named)
             found.append(Sample(f"draw-{index:03d}-{drawn}", values, sea, drawn))
     return found
-
-
-def _problem(factors: int) -> dict[str, Any]:
-    """Factors in shares, as SALib wants them."""
-    names = [str(one) for one in range(factors)]
-    return {"num_vars": factors, "names": names, "bounds": [[0.0, 1.0]] * factors}
 
 
 def _values(
