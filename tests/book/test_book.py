@@ -252,7 +252,7 @@ def test_what_cannot_be_quoted_or_shown_fails_the_build(tmp_path: Path) -> None:
         "text",
         "P1.2",
         "'paper/poses.toml:none:'",
-        "none/",
+        "'a' of none",
         "'none' of e",
         "e/a.svg",
     ):
