@@ -1,13 +1,15 @@
 # From clone to book. `make help` explains each target in a line.
-# Nothing is assumed but GNU make, git and a Python; a C compiler makes it faster.
+# Nothing is assumed but GNU make (3.81, macOS's own, or newer), git and a Python; a C compiler
+# makes it faster.
 
 # Candidates; the first that is recent enough is taken. `make PYTHON=/path/to/python` names one.
 PYTHON ?= python3.11 python3.12 python3.13 python3.14 python3 python
 # Installs the environment in seconds where present; `make UV=` does without.
-UV ?= $(shell command -v uv)
+UV ?= $(shell command -v uv 2>/dev/null)
 
 PY := .venv/bin/python
-pip := $(PY) -m pip --quiet --disable-pip-version-check
+install := $(if $(UV),"$(UV)" pip install --quiet --python $(PY),$(PY) -m pip install --quiet \
+	--disable-pip-version-check)
 # The oldest Python 3.x that will do, from pyproject.toml.
 minor := $(shell sed -n 's/^requires-python = ">=3\.\([0-9]*\)".*/\1/p' pyproject.toml)
 # Stamps that carry the checksum of what they were made from: neither a checkout's new
@@ -16,8 +18,6 @@ locked := .venv/locked-$(firstword $(shell cksum < environment.lock))
 installed := .venv/installed-$(firstword $(shell (pwd; cat pyproject.toml) | cksum))
 
 SHELL := /bin/sh
-.SHELLFLAGS := -euc
-.ONESHELL:
 .SUFFIXES:
 .DEFAULT_GOAL := all
 MAKEFLAGS += --no-print-directory
@@ -27,15 +27,15 @@ unexport PYTHONPATH PYTHONHOME MPLBACKEND
 export IPYTHONDIR := $(CURDIR)/.venv/ipython
 export JUPYTER_PREFER_ENV_PATH := 1
 
-.PHONY: all help environment computed results figures notebooks book lab bench test verify \
-	seeds audit calibration sensitivity mutation lock clean distclean
+.PHONY: all help environment computed results figures notebooks book record lab bench test lint \
+	verify seeds audit calibration sensitivity mutation lock clean distclean
 
 all: book ## All that follows down to the book, then a comparison with the committed tables
 	@$(PY) -m softwave_min compare
-	echo "Open book/_build/html/index.html"
+	@echo "Open book/_build/html/index.html"
 
 help: ## This list
-	@sed -n 's/^\([a-z]*\):[^#]*## \(.*\)/\1 \2/p' $(firstword $(MAKEFILE_LIST)) |
+	@sed -n 's/^\([a-z]*\):[^#]*## \(.*\)/\1 \2/p' $(firstword $(MAKEFILE_LIST)) | \
 	while read -r target line; do printf 'make %-12s %s\n' "$$target" "$$line"; done
 
 environment: $(installed) ## Create .venv from environment.lock, every package by its hash
@@ -52,25 +52,33 @@ notebooks: computed ## Execute the notebooks whose inputs changed
 book: notebooks ## Build the book if an input changed: book/_build/html/index.html
 	@$(PY) book/build.py
 
+record: environment ## Compute, execute, and write all that is to be committed, last digits included
+	@$(PY) -m softwave_min run --record
+	@$(PY) notebooks/execute.py --record
+
 lab: computed ## Open the notebooks in JupyterLab
 	@$(PY) -m jupyterlab notebooks
 
 bench: environment ## Time the solvers beside their peers (installed apart), 15 minutes; judge the bars
 	@$(PY) bench/run.py
-	$(PY) bench/plant_integrators.py
-	$(PY) bench/quadrature.py
+	@$(PY) bench/plant_integrators.py
+	@$(PY) bench/quadrature.py
 
 # What a fresh clone lacks is computed; what is stale is an error, not a reason to compute.
 # The notebooks are not executed before nbval does: the committed outputs are what it proves.
-test: environment ## Unit tests, every notebook against its outputs, the book; fails on stale results
+test: lint ## Style, types, layers, unit tests, every notebook and page; fails on stale results
 	@$(PY) -m softwave_min status
-	$(PY) -m softwave_min run
-	$(PY) notebooks/execute.py --check
-	$(PY) book/build.py
-	$(PY) tests/browser.py
-	$(PY) -m pytest tests notebooks --nbval --nbval-current-env \
-		--nbval-sanitize-with tests/nbval_sanitize.cfg \
-		--numprocesses auto --maxprocesses 4 --dist loadfile
+	@$(PY) -m softwave_min run
+	@$(PY) notebooks/execute.py --check
+	@$(PY) book/build.py
+	@$(PY) tests/helpers/browser.py
+	@$(PY) -m pytest tests notebooks --nbval --numprocesses auto --maxprocesses 4
+
+lint: environment ## Style (ruff), types (mypy) and layers (import-linter) of the source
+	@$(PY) -m ruff check --quiet .
+	@$(PY) -m ruff format --quiet --check .
+	@$(PY) -m mypy
+	@.venv/bin/lint-imports --no-logo --cache-dir .build/layers
 
 verify: environment ## Compute everything once more, elsewhere, and compare with the committed tables
 	@$(PY) -m softwave_min verify
@@ -92,12 +100,12 @@ mutation: environment ## Break every line of the arm and the waves and see wheth
 
 lock: ## Resolve requirements.in into environment.lock (needs uv)
 	@$(if $(UV),,$(error 'make lock' needs uv))
-	uv pip compile --quiet --universal --python-version 3.$(minor) --generate-hashes \
+	@"$(UV)" pip compile --quiet --universal --python-version 3.$(minor) --generate-hashes \
 		--no-header --no-annotate requirements.in --output-file environment.lock
 
 clean: ## Remove the book, the notebooks' stamps and the caches
-	@rm -rf .build book/_build .hypothesis .mypy_cache .pytest_cache .ruff_cache *.egg-info
-	find . -name .venv -prune -o -name __pycache__ -prune -exec rm -r {} +
+	@rm -rf .build book/_build .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	@find . -name .venv -prune -o -name __pycache__ -prune -exec rm -r {} +
 
 distclean: clean ## Remove the computed runs and the environment as well
 	@rm -rf results/*/runs results/sets/*/*/runs .venv
@@ -106,40 +114,27 @@ computed: environment
 	@$(PY) -m softwave_min run
 
 # The path of the first candidate that is recent enough, else 'none:' and what was found.
-define find_python
-found=
-for candidate in $(PYTHON); do
-  version=$$("$$candidate" -c 'import sys; print("%d.%d" % sys.version_info[:2])') || continue
-  if [ "$${version%%.*}" -eq 3 ] && [ "$${version#*.}" -ge $(minor) ]; then
-    exec "$$candidate" -c 'import sys; print(sys.executable)'
-  fi
-  found="$$found $$candidate is $$version;"
-done 2>/dev/null
-echo "none:$${found:- no Python at all;}"
-endef
+find_python = found=; for candidate in $(PYTHON); do \
+	version=$$("$$candidate" -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null) \
+		|| continue; \
+	if [ "$${version%%.*}" -eq 3 ] && [ "$${version\#*.}" -ge $(minor) ]; then \
+		exec "$$candidate" -c 'import sys; print(sys.executable)'; \
+	fi; \
+	found="$$found $$candidate is $$version;"; \
+done; echo "none:$${found:- no Python at all;}"
 
 too_old = Python 3.$(minor) or newer is needed; found: $(strip $(python:none:%=%)) name one with PYTHON=/path/to/python
 
 $(locked):
 	@$(eval python := $(shell $(find_python)))
-	$(if $(filter none:%,$(python)),$(error $(too_old)))
-	rm -rf .venv
-	if [ -n "$(UV)" ]; then
-	  echo "environment: installing environment.lock with uv for $(python)"
-	  "$(UV)" venv --quiet --python "$(python)" .venv
-	  "$(UV)" pip install --quiet --python $(PY) --require-hashes -r environment.lock
-	else
-	  echo "environment: installing environment.lock with pip for $(python); a minute or two"
-	  "$(python)" -m venv .venv
-	  $(pip) install --require-hashes -r environment.lock
-	fi
-	touch $@
+	@$(if $(filter none:%,$(python)),$(error $(too_old)))
+	@rm -rf .venv
+	@echo "environment: installing environment.lock with $(if $(UV),uv,pip) for $(python)"
+	@$(if $(UV),"$(UV)" venv --quiet --python "$(python)" .venv,"$(python)" -m venv .venv)
+	@$(install) --require-hashes -r environment.lock
+	@touch $@
 
 $(installed): $(locked)
 	@rm -f .venv/installed-*
-	if [ -n "$(UV)" ]; then
-	  "$(UV)" pip install --quiet --python $(PY) --no-deps --no-build-isolation -e .
-	else
-	  $(pip) install --no-deps --no-build-isolation -e .
-	fi
-	touch $@
+	@$(install) --no-deps --no-build-isolation -e .
+	@touch $@

@@ -14,8 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softwave_min.arm import Arm, Structure, Values, mechanics
-from softwave_min.control.nmpc import Problem, Solution, Status
 from softwave_min.control.predictor import PeriodSteps
+from softwave_min.control.problem import (
+    Period,
+    Problem,
+    Solution,
+    Status,
+    Weights,
+    residual_function,
+)
 from softwave_min.control.reference.interior_point import transition_function
 from softwave_min.parameters import NmpcParameters
 
@@ -27,7 +34,7 @@ FLAGS = ["-O1", "-march=native"]
 
 
 class Fatrop:
-    """Solver of the optimal control problem without soft bounds.
+    """Solver of the optimal control problem.
 
     Parameters
     ----------
@@ -73,15 +80,15 @@ class Fatrop:
     def solve(self, problem: Problem, guess: Floats) -> Solution:
         """Minimise the cost from the inputs ``guess``, (K, n) in rad, and their motion."""
         n, forecast = self._n, problem.forecast
-        told = (forecast.flow, forecast.disturbance)
+        forecasts = (forecast.flow, forecast.disturbance)
         repeated = [np.tile(one[:, None], self._horizon) for one in self._fixed]
-        columns = (part.T for part in (guess, *told))
+        columns = (part.T for part in (guess, *forecasts))
         states = self._rollout(problem.state, *columns, *repeated)[0].full().T
         states = np.hstack(
             [np.vstack([problem.state, states]), np.vstack([problem.previous, guess])]
         )
         unknown = np.hstack([states[:-1], guess]).ravel()
-        given = (problem.state, problem.previous, problem.reference, *told)
+        given = (problem.state, problem.previous, problem.reference, *forecasts)
         answer = self._solver(
             x0=np.concatenate([unknown, states[-1]]),
             p=np.concatenate([part.ravel() for part in given]),
@@ -103,15 +110,15 @@ class Fatrop:
         flow = ca.MX.sym("flow", structure.flow_size, horizon)
         disturbance = ca.MX.sym("disturbance", n, horizon)
         gains, values = (ca.DM(one) for one in self._fixed)
-        tip = _tip_function(structure)
-        weights = np.sqrt([parameters.tip_weight, parameters.terminal_weight])
+        tip, residual = _tip_function(structure), residual_function(n)
+        weights = ca.DM(Weights.packed(parameters))
         states = [ca.MX.sym(f"x_{k}", 3 * n) for k in range(horizon + 1)]
         unknown, constraints, residuals, equality = [states[0]], [], [], []
         for k in range(horizon):
             q_bar = ca.MX.sym(f"q_bar_{k}", n)
-            reached = self._transition(
+            reached, _, torque = self._transition(
                 states[k][: 2 * n], q_bar, flow[:, k], disturbance[:, k], gains, values
-            )[0]
+            )
             constraints.append(states[k + 1] - ca.vertcat(reached, q_bar))
             equality += 3 * n * [True]
             if k == 0:
@@ -120,17 +127,23 @@ class Fatrop:
             constraints.append(q_bar)
             equality += n * [False]
             unknown += [q_bar, states[k + 1]]
-            scale = weights[0] * (1 if k + 1 < horizon else weights[1])
-            residuals.append(scale * (tip(states[k + 1][:n], values) - reference[:, k]))
-            residuals.append(np.sqrt(parameters.step_weight) * (q_bar - states[k][2 * n :]))
-        residual = ca.vertcat(*residuals)
+            period = Period(
+                tip(states[k + 1][:n], values),
+                torque,
+                q_bar,
+                states[k][2 * n :],
+                reference[:, k],
+                ca.MX(k + 1 == horizon),
+            )
+            residuals.append(residual(*vars(period).values(), weights))
+        stacked = ca.vertcat(*residuals)
         program = {
             "x": ca.vertcat(*unknown),
             "p": ca.veccat(first, reference, flow, disturbance),
-            "f": ca.sumsqr(residual),
+            "f": ca.sumsqr(stacked),
             "g": ca.vertcat(*constraints),
         }
-        return program, residual, equality
+        return program, stacked, equality
 
 
 def _tip_function(structure: Structure) -> ca.Function:

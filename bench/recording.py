@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from softwave_min.control.nmpc import Problem, Solution, Solver
 from softwave_min.control.preview import Forecast
+from softwave_min.control.problem import Problem, Solution, Solver
 from softwave_min.data import data_folder
 from softwave_min.paper.cases import poses, wave_cases
 from softwave_min.parameters import ParameterSet, load_parameters

@@ -43,9 +43,10 @@ from step_time import (
     table,
 )
 
-from softwave_min.control.nmpc import Status
+from softwave_min.control.problem import Status
 from softwave_min.control.reference.interior_point import InteriorPoint
 from softwave_min.experiments import example_case
+from softwave_min.experiments.closed_loop import scenario_of
 from softwave_min.native import compiler
 from softwave_min.parameters import ParameterSet
 from softwave_min.runs.store import table_text, write_atomically
@@ -206,11 +207,11 @@ def real_time_loops(parameters: ParameterSet, steps: int) -> pd.DataFrame:
     parameters = replace(parameters, simulation=replace(parameters.simulation, duration=duration))
     rows = []
     for run in example_case.runs(parameters):
-        if run.parameters.controller != "nmpc":
+        if run.parameters.controllers != ("nmpc",):
             continue
         converged = None
         for count in (None, *REAL_TIME_STEPS):
-            scenario = example_case.scenario_of(run.parameters)
+            scenario = scenario_of(run.parameters)
             p = scenario.parameters
             if count is not None:
                 nmpc = replace(p.nmpc, real_time=True, max_iterations=count)

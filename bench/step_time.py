@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from recording import Recording
 
 from softwave_min.control.compiled.engine import Engine
-from softwave_min.control.nmpc import GaussNewton, Problem, Solver, Status
+from softwave_min.control.nmpc import GaussNewton
+from softwave_min.control.problem import Problem, Solver, Status
 from softwave_min.native import compiler
 from softwave_min.simulation import Scenario
 

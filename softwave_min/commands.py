@@ -176,7 +176,7 @@ def _say(text: str, stream: TextIO) -> None:
 
 def _judge(asked: _Asked) -> None:
     """Judge the claims, and write that unless it is what was written."""
-    from softwave_min.paper.claims import evaluate, verdicts_path, write
+    from softwave_min.paper.verdicts import evaluate, verdicts_path, write
 
     table, path = evaluate(asked.root, asked.parameters), verdicts_path(asked.root)
     if not path.is_file() or path.read_text(encoding="utf-8") != table_text(table):
@@ -206,7 +206,7 @@ def figures(options: Namespace) -> int:
 
 def status(options: Namespace) -> int:
     """Say what is fresh and what is stale."""
-    from softwave_min.paper.claims import are_fresh, verdicts_path
+    from softwave_min.paper.verdicts import are_fresh, verdicts_path
 
     asked = _asked(options)
     stale = []
@@ -227,7 +227,7 @@ def status(options: Namespace) -> int:
 
 def claims(options: Namespace) -> int:
     """Judge the paper's claims by the tables that are here."""
-    from softwave_min.paper.claims import evaluate, summary, unexplained, write
+    from softwave_min.paper.verdicts import evaluate, summary, unexplained, write
 
     asked = _asked(options)
     table = evaluate(asked.root, asked.parameters)

@@ -19,7 +19,7 @@ READ_LOG = "SOFTWAVE_READ_LOG"
 
 PACKAGE = Path(__file__).resolve().parent
 ROOT = PACKAGE.parent
-"""The project's folder; that of the installed packages where there is no project."""
+"""The project's folder, if ``in_project``."""
 
 _recordings: ContextVar[tuple[set[Path], ...]] = ContextVar("recordings", default=())
 
@@ -28,10 +28,22 @@ class ParameterError(ValueError):
     """A parameter is missing, unknown, of the wrong type or out of range."""
 
 
+def in_project() -> bool:
+    """Whether the package lies in its project, and not in a wheel that was made of it."""
+    return not (PACKAGE / "data").is_dir()
+
+
 def data_folder() -> Path:
-    """Folder ``data/``: the project's, or the part of it that travels in an installed package."""
-    inside = PACKAGE / "data"
-    return inside if inside.is_dir() else ROOT / "data"
+    """Folder ``data/``: the project's, or the part of it that travels in the wheel."""
+    return (ROOT if in_project() else PACKAGE) / "data"
+
+
+def cache_folder() -> Path:
+    """Where what can be made again is kept: in the project, elsewhere in the user's cache."""
+    if in_project():
+        return ROOT / ".build"
+    cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(cache) / PACKAGE.name
 
 
 @contextmanager

@@ -20,7 +20,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
 
-from softwave_min.data import ROOT
+from softwave_min.data import cache_folder
 
 FLAGS = ("-march=native", "-fno-math-errno", "-ffp-contract=fast", "-std=c99", "-fPIC")
 """No -ffast-math: the interpreter's numbers, but for the last digit of a product and sum."""
@@ -71,7 +71,7 @@ def build(name: str, sources: Mapping[str, str]) -> Path:
     command = compiler()
     if command is None:
         raise CompilerError("no C compiler")
-    library = _folder() / f"{name}-{_key(command, sources)}.so"
+    library = cache_folder() / "native" / f"{name}-{_key(command, sources)}.so"
     if not library.is_file():
         library.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=library.parent) as folder:
@@ -92,10 +92,6 @@ def build(name: str, sources: Mapping[str, str]) -> Path:
 
 def _flags(text: str) -> tuple[str, ...]:
     return (*FLAGS, *(STRAIGHT_LINE if text.count("\n") > MANY_LINES else LOOPS))
-
-
-def _folder() -> Path:
-    return ROOT / ".build" / "native"
 
 
 def _run(command: list[str], folder: str) -> None:

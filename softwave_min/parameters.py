@@ -29,6 +29,9 @@ Positive = Annotated[float, Strict(), Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Strict(), Field(ge=0, allow_inf_nan=False)]
 Count = Annotated[int, Strict(), Field(ge=1)]
 Seed = Annotated[int, Strict(), Field(ge=0)]
+Order = Annotated[int, Strict(), Field(ge=1, le=8)]
+Flag = Annotated[bool, Strict()]
+Tolerance = Annotated[float, Strict(), Field(gt=0, le=1e-3, allow_inf_nan=False)]
 Angle = Annotated[float, Strict(), Field(ge=-2 * math.pi, le=2 * math.pi, allow_inf_nan=False)]
 Vector = Annotated[tuple[Real, ...], Field(min_length=1)]
 PositiveVector = Annotated[tuple[Positive, ...], Field(min_length=1)]
@@ -57,7 +60,7 @@ class ArmParameters:
     """Direction of the base tangent, counter-clockwise from +x, in rad."""
     quadrature_points: Annotated[int, Strict(), Field(ge=2, le=16)]
     """Gauss-Legendre points on each segment for mass, buoyancy and fluid load."""
-    rotary_inertia: bool
+    rotary_inertia: Flag
     """Whether the rotation of the cross-sections carries kinetic energy."""
 
     @model_validator(mode="after")
@@ -143,7 +146,7 @@ class BaselineParameters:
     integral_gain: NonNegative = 0.0
     """Integral action on the tip's offset from the plan, K_I in 1/s; 0 for none, as in the
     paper. See ``control.baseline.Correction``."""
-    load_feedforward: Annotated[bool, Strict()] = False
+    load_feedforward: Flag = False
     """Whether the load of the present flow is fed forward; not in the paper."""
 
     @property
@@ -160,7 +163,7 @@ class FailureParameters:
     """Number of the failed segment, from 1; 0 for none."""
     manner: Literal["passive", "locked"]
     """'passive': no torque; 'locked': the bending angle cannot change."""
-    known: Annotated[bool, Strict()]
+    known: Flag
     """Whether the NMPC's model has the failure."""
 
 
@@ -190,14 +193,14 @@ class NmpcParameters:
     reference. 'convex': the same steps, each posed in cvxpy."""
     substeps: Annotated[int, Strict(), Field(ge=1, le=64)]
     """Extrapolated steps of the predictor per control period."""
-    extrapolation_columns: Annotated[int, Strict(), Field(ge=1, le=8)]
+    extrapolation_columns: Order
     """Order of the predictor's extrapolation."""
     max_iterations: Annotated[int, Strict(), Field(ge=1, le=1000)]
     """Most Gauss-Newton steps per solve."""
     tolerance: Positive
     """A solve has converged when its last step, or by their contraction all that would
     follow it, is shorter than this, in rad."""
-    real_time: bool
+    real_time: Flag
     """Whether to take ``max_iterations`` full steps and no more, converged or not."""
 
 
@@ -205,7 +208,7 @@ class NmpcParameters:
 class PreviewParameters:
     """What the controller is told of the coming sea."""
 
-    waves: Annotated[bool, Strict()]
+    waves: Flag
     """Whether it is told of the waves at all; otherwise it believes in still water."""
     delay_periods: Annotated[int, Strict(), Field(ge=0)]
     """Control periods by which the forecast is late."""
@@ -215,7 +218,7 @@ class PreviewParameters:
     """How 'SNR' is read: no noise, 10 log10 of the power ratio, or the power ratio."""
     signal_to_noise: Positive
     """The SNR itself, 20 in the paper."""
-    redrawn: bool
+    redrawn: Flag
     """Whether each forecast draws new noise; otherwise the noise belongs to the
     time it speaks of and is the same in every forecast."""
     seed: Seed
@@ -231,15 +234,15 @@ class SimulationParameters:
     integrator: Literal["extrapolation", "cvodes", "runge_kutta"]
     """'extrapolation': linearly implicit Euler steps, extrapolated. 'cvodes': SUNDIALS'
     variable-order BDF. 'runge_kutta': the paper's, fifth order with variable step."""
-    relative_tolerance: Annotated[float, Strict(), Field(gt=0, le=1e-3, allow_inf_nan=False)]
+    relative_tolerance: Tolerance
     """Relative tolerance of a variable-step integrator."""
-    absolute_tolerance: Annotated[float, Strict(), Field(gt=0, le=1e-3, allow_inf_nan=False)]
+    absolute_tolerance: Tolerance
     """Absolute tolerance of a variable-step integrator, in rad and rad/s."""
     largest_step: Positive
     """Longest step of a variable-step integrator, in s."""
     extrapolated_steps: Annotated[int, Strict(), Field(ge=1, le=1000)]
     """Extrapolated steps per control period."""
-    extrapolation_columns: Annotated[int, Strict(), Field(ge=1, le=8)]
+    extrapolation_columns: Order
     """Order of the extrapolation."""
 
 
@@ -281,15 +284,17 @@ def parameter_set(name: str = DEFAULT_SET) -> ParameterSet:
     return load_parameters(data_folder() / "parameters" / f"{name}.toml")
 
 
-def load_parameters(path: Path) -> ParameterSet:
-    """Load a parameter set from a TOML file.
+def load_parameters(source: Path | str = DEFAULT_SET) -> ParameterSet:
+    """Load a parameter set: one that ships, by its name, or a TOML file.
 
     Raises
     ------
     ParameterError
         Naming the file, the field, the value and the allowed range.
     """
-    return validate(ParameterSet, read_toml(path), source=path)
+    if isinstance(source, str) and source.isidentifier():
+        return parameter_set(source)
+    return validate(ParameterSet, read_toml(Path(source)), source=source)
 
 
 def load_data(kind: type[T], name: str) -> T:

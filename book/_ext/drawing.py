@@ -11,7 +11,6 @@ references.
 from __future__ import annotations
 
 import html
-import json
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -21,6 +20,8 @@ from docutils.parsers.rst import directives
 from sphinx.application import Sphinx
 from sphinx.util import logging
 from sphinx.util.docutils import SphinxDirective
+
+from softwave_min.runs.store import Store
 
 logger = logging.getLogger(__name__)
 
@@ -77,7 +78,7 @@ def described(place: Path) -> dict[str, str]:
     LookupError
         If the provenance does not know the drawing.
     """
-    record = json.loads((place.parent / "provenance.json").read_text(encoding="utf-8"))
+    record = Store(place.parent.name, place.parents[1]).provenance()
     figures: dict[str, dict[str, str]] = record.get("figures", {})
     if place.name not in figures:
         raise LookupError(f"no figure {place.name!r} of {place.parent.name}")

@@ -1,29 +1,31 @@
-r"""The paper's nonlinear MPC.
+r"""The paper's nonlinear MPC: a Gauss-Newton method with bounds, in NumPy.
 
-.. math:: \min_{\bar q_0 \dots \bar q_{K-1}} \sum_{k=0}^{K-1}
-   (x_k - x_{r,k})^T Q (x_k - x_{r,k}) + \Delta\bar q_k^T R\, \Delta\bar q_k
-   \quad\text{s.t.}\quad |\bar q_k| \le \bar q_{\max}
-
-(paper, eq. 13) over the predicted motion of the arm under the forecast flow. The
-states are eliminated (single shooting): the inputs alone are unknown, and the
-cost is a sum of squares, which a Gauss-Newton method with bounds minimises.
+The states are eliminated (single shooting): the inputs alone are unknown. The cost is the sum
+of squares of the residuals that ``control/problem.py`` states. In every iteration they are
+linearised about the inputs, r + J d, and the step d minimises the squares of that within the
+bounds (eq-nmpc-residual to eq-nmpc-qp in notebooks/nmpc.ipynb).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
-from typing import Any, Protocol
+from typing import Any
 
 import casadi as ca
 import numpy as np
+import scipy  # whose parts are loaded when they are used
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import lsq_linear
 
 from softwave_min.arm import Arm
 from softwave_min.control.predictor import PeriodSteps, rollout_function
 from softwave_min.control.preview import Forecast
+from softwave_min.control.problem import (
+    Problem,
+    Solution,
+    Status,
+    Weights,
+    residual_slopes_function,
+)
 from softwave_min.parameters import NmpcParameters
 
 Floats = NDArray[np.float64]
@@ -36,41 +38,6 @@ STEADY = 0.3
 """Contraction of the steps below which the next ones may be foretold ..."""
 NEARLY = 100
 """... once a step is shorter than so many tolerances."""
-
-
-class Status(IntEnum):
-    """How a solve ended."""
-
-    CONVERGED = 0
-    """The last step, or by their contraction all that would follow it, was shorter than
-    the tolerance."""
-    ITERATION_LIMIT = 1
-    """The iterations ran out; the inputs are the best found."""
-    NO_DECREASE = 2
-    """No step along the Gauss-Newton direction lowered the cost."""
-    NOT_FINITE = 3
-    """The prediction left the finite numbers from the very first guess."""
-
-
-@dataclass(frozen=True)
-class Problem:
-    """One instance of the optimal control problem."""
-
-    state: Floats
-    """(2 n,), present (q, qd)."""
-    previous: Floats
-    """(n,), command in force until now, q_bar_{-1}, in rad."""
-    reference: Floats
-    """(K, 2), desired tip after each period, in m."""
-    forecast: Forecast
-    """Flow and load noise of the coming periods."""
-
-
-class Solver(Protocol):
-    """What solves the optimal control problem."""
-
-    def solve(self, problem: Problem, guess: Floats) -> Solution:
-        """Minimise the cost from the inputs ``guess``, (K, n) in rad."""
 
 
 @dataclass(frozen=True)
@@ -87,28 +54,6 @@ class Rollout:
     """(K, n), actuation torque at the start of each period, in N m."""
     torque_sensitivity: Floats
     """(n K, n K), derivative of the torques by the inputs, in N m/rad."""
-
-
-@dataclass(frozen=True)
-class Solution:
-    """Plan of one solve."""
-
-    inputs: Floats
-    """(K, n), commanded angles, in rad; the first is applied."""
-    cost: float
-    """Value of the cost, x_0's constant term aside."""
-    status: Status
-    iterations: int
-    """Gauss-Newton steps taken."""
-    last_step: float
-    """Largest change of an input in the last step, in rad."""
-
-
-def scales(parameters: NmpcParameters) -> tuple[float, float, float]:
-    """Square roots of the weights: of a tip error, of the last one, of an input's change."""
-    tip = float(np.sqrt(parameters.tip_weight))
-    last = tip * float(np.sqrt(parameters.terminal_weight))
-    return tip, last, float(np.sqrt(parameters.step_weight))
 
 
 class _Buffered:
@@ -141,7 +86,8 @@ class _Buffered:
 class GaussNewton:
     """Gauss-Newton SQP with bounds and line search, in NumPy: the readable statement.
 
-    ``Engine`` takes the same steps without an interpreter.
+    Real-time iteration takes ``max_iterations`` full steps, converged or not, without a line
+    search. ``Engine`` takes the same steps without an interpreter.
 
     Parameters
     ----------
@@ -160,9 +106,10 @@ class GaussNewton:
         steps = PeriodSteps.of(parameters)
         self._rollout = _Buffered(rollout_function(arm.structure, steps, parameters.horizon))
         self._rollout.arguments[4][:], self._rollout.arguments[5][:] = gains, arm.values
-        each, last, _ = scales(parameters)
-        self._tip_scale = np.repeat([each] * (parameters.horizon - 1) + [last], 2)
-        self._difference = self._difference_matrix()
+        slopes = residual_slopes_function(arm.segments).map(parameters.horizon)
+        self._residual_slopes = _Buffered(slopes)
+        last, weights = self._residual_slopes.arguments[5:]
+        last[-1], weights[:] = 1, Weights.packed(parameters)
 
     def solve(self, problem: Problem, guess: Floats) -> Solution:
         """Minimise the cost from the inputs ``guess``, (K, n) in rad."""
@@ -172,15 +119,14 @@ class GaussNewton:
         cost = float(residual @ residual)
         if not np.isfinite(cost):
             return Solution(inputs, cost, Status.NOT_FINITE, 0, np.inf)
-        size = contraction = np.inf
+        size = np.inf
         for iteration in range(1, settings.max_iterations + 1):
             direction = self.step(inputs, residual, jacobian)
             slope = 2 * float(residual @ jacobian @ direction.ravel())
             former, size = size, float(np.max(np.abs(direction)))
-            if iteration > 1:
-                contraction = size / former
+            contraction = size / former if 0 < former < np.inf else np.inf
             short = size < settings.tolerance or self._foretold(size, contraction)
-            if short or (settings.real_time and iteration == settings.max_iterations):
+            if (iteration == settings.max_iterations) if settings.real_time else short:
                 # The model of the cost is exact to third order in so short a step.
                 status = Status.CONVERGED if short else Status.ITERATION_LIMIT
                 return Solution(inputs + direction, cost + slope / 2, status, iteration, size)
@@ -189,13 +135,19 @@ class GaussNewton:
                 trial = inputs + scale * direction
                 residual, jacobian = self.residual(problem, trial)
                 found = float(residual @ residual)
-                if found <= (1 + ROUNDING) * cost + SUFFICIENT_DECREASE * scale * slope:
+                if self._accepted(found, cost, scale * slope):
                     break
                 scale /= 2
-                if scale < SHORTEST_STEP:
+                if scale < (1 if settings.real_time else SHORTEST_STEP):
                     return Solution(inputs, cost, Status.NO_DECREASE, iteration, size)
             inputs, cost, size = trial, found, scale * size
         return Solution(inputs, cost, Status.ITERATION_LIMIT, settings.max_iterations, size)
+
+    def _accepted(self, found: float, cost: float, slope: float) -> bool:
+        """Whether a step may be taken: in real time any whose prediction is finite."""
+        if self.parameters.real_time:
+            return bool(np.isfinite(found))
+        return found <= (1 + ROUNDING) * cost + SUFFICIENT_DECREASE * slope
 
     def _foretold(self, size: float, contraction: float) -> bool:
         """Whether all steps after this one are short together: a geometric series, since
@@ -207,29 +159,33 @@ class GaussNewton:
 
     def residual(self, problem: Problem, inputs: Floats) -> tuple[Floats, Floats]:
         """Weighted residuals, whose sum of squares is the cost, and their Jacobian."""
+        n, horizon = self._segments, self.parameters.horizon
         rollout = self.predict(problem.state, inputs, problem.forecast)
-        changes = self._difference @ inputs.ravel()
-        changes[: self._segments] -= np.sqrt(self.parameters.step_weight) * problem.previous
-        errors = self._tip_scale * (rollout.tips - problem.reference).ravel()
-        parts = [errors, changes]
-        slopes = [self._tip_scale[:, None] * rollout.sensitivity, self._difference]
-        bound = self.parameters.torque_bound
-        if bound > 0:
-            scale = np.sqrt(self.parameters.torque_weight)
-            torques = rollout.torques.ravel()
-            parts.append(scale * (torques - np.clip(torques, -bound, bound)))
-            exceeds = scale * (np.abs(torques) > bound)
-            slopes.append(exceeds[:, None] * rollout.torque_sensitivity)
-        return np.concatenate(parts), np.vstack(slopes)
+        former = np.vstack([problem.previous, inputs[:-1]])
+        residual, *slopes = self._residual_slopes(
+            rollout.tips, rollout.torques, inputs, former, problem.reference
+        )
+        # (K, rows, columns): the residuals of a period by what they depend on.
+        by_tip, by_torque, by_command, by_former = (
+            one.reshape(len(residual), horizon, -1).swapaxes(0, 1) for one in slopes
+        )
+        jacobian = by_tip @ rollout.sensitivity.reshape(horizon, 2, -1)
+        jacobian += by_torque @ rollout.torque_sensitivity.reshape(horizon, n, -1)
+        of_inputs, k = jacobian.reshape(horizon, -1, horizon, n), np.arange(horizon)
+        of_inputs[k, :, k] += by_command
+        of_inputs[k[1:], :, k[:-1]] += by_former[1:]
+        return residual.flatten(order="F"), jacobian.reshape(residual.size, -1)
 
     def step(self, inputs: Floats, residual: Floats, jacobian: Floats) -> Floats:
         """Minimise the linearised sum of squares within the bounds, (K, n)."""
         bound = self.parameters.angle_bound
-        step = -cho_solve(cho_factor(jacobian.T @ jacobian), jacobian.T @ residual)
+        factor = scipy.linalg.cho_factor(jacobian.T @ jacobian)
+        step = -scipy.linalg.cho_solve(factor, jacobian.T @ residual)
         flat = inputs.ravel()
         if np.any(np.abs(flat + step) > bound):
             limits = (-bound - flat, bound - flat)
-            step = np.clip(lsq_linear(jacobian, -residual, limits, method="bvls").x, *limits)
+            nearest = scipy.optimize.lsq_linear(jacobian, -residual, limits, method="bvls").x
+            step = np.clip(nearest, *limits)
         shaped: Floats = step.reshape(inputs.shape)
         return shaped
 
@@ -253,9 +209,3 @@ class GaussNewton:
         return Rollout(
             states.T.copy(), tips.T.copy(), sensitivity, torques.T.copy(), torque_sensitivity
         )
-
-    def _difference_matrix(self) -> Floats:
-        """Weighted map from the stacked inputs to their changes, q_bar_{-1} aside."""
-        size = self._segments * self.parameters.horizon
-        difference: Floats = np.eye(size) - np.eye(size, k=-self._segments)
-        return float(np.sqrt(self.parameters.step_weight)) * difference

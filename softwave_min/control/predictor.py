@@ -1,7 +1,8 @@
-r"""One control period of the arm under a held command, as a CasADi function.
+r"""One control period of the arm under its command, and what it costs, as CasADi functions.
 
 A length H is gone in 1, in 2, ... in K steps of ``implicit_step``, and the ends T_1, ... T_K
-are extrapolated to order K (Hairer & Wanner II, IV.9), which keeps their damping.
+are extrapolated to order K (Hairer & Wanner II, IV.9; eq-nmpc-extrapolation in
+notebooks/nmpc.ipynb), which keeps their damping.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softwave_min.arm import Structure, mechanics
-from softwave_min.arm.dynamics import solve_symmetric
-from softwave_min.control.implicit_step import Held, ImplicitStep
+from softwave_min.control.implicit_step import ImplicitStep, PeriodInputs
+from softwave_min.control.problem import Period, Weights, residual_slopes_function
 from softwave_min.control.summed import dense_function
 from softwave_min.parameters import NmpcParameters
 
@@ -72,24 +73,25 @@ def stage_function(structure: Structure, steps: PeriodSteps) -> ca.Function:
 
     Inputs: x = (q, qd); q_bar; flow of the period, expanded about its middle;
     disturbance, an additional generalised load; gains; values. Outputs: the next x;
-    A = dx+/dx; B = dx+/dq_bar; and those of ``period_function``.
+    A = dx+/dx; B = dx+/dq_bar (eq-nmpc-sensitivity in notebooks/nmpc.ipynb); and those of
+    ``_end_of_period``.
     """
     n = structure.segments
     x, q_bar = ca.SX.sym("x", 2 * n), ca.SX.sym("q_bar", n)
-    given = Held.symbolic(structure)
-    torque, slope = _command(given, q_bar)
-    held = replace(given, command_torque=torque)
+    symbols = PeriodInputs.symbolic(structure)
+    torque, slope = _command(symbols, q_bar)
+    given = replace(symbols, command_torque=torque)
     length = steps.period / steps.substeps
     after = _Reached.start(x)
     for index in range(steps.substeps):
         start = index * length - steps.period / 2
-        after = _extrapolated(held, after, start, length, steps.columns)
-    others = {name: one for name, one in given.inputs.items() if name != "command_torque"}
+        after = _extrapolated(given, after, start, length, steps.columns)
+    others = {name: one for name, one in symbols.inputs.items() if name != "command_torque"}
     outputs = {
         "next": after.x,
         "A": after.by_state,
         "B": after.by_torque @ slope,
-        **_period_outputs(held, x, after.x, slope),
+        **_end_of_period(given, x, after.x, slope),
     }
     return dense_function("predictor_stage", {"x": x, "q_bar": q_bar, **others}, outputs)
 
@@ -106,66 +108,82 @@ def command_function(structure: Structure) -> ca.Function:
 
     Inputs: q_bar; gains; values.
     """
-    held = Held.symbolic(structure)
+    given = PeriodInputs.symbolic(structure)
     q_bar = ca.SX.sym("q_bar", structure.segments)
-    torque, slope = _command(held, q_bar)
+    torque, slope = _command(given, q_bar)
     return dense_function(
         "command_torque",
-        {"q_bar": q_bar, "gains": held.gains, "values": held.packed},
+        {"q_bar": q_bar, "gains": given.gains, "values": given.packed},
         {"torque": torque, "slope": slope},
     )
 
 
 @cache
-def period_function(structure: Structure) -> ca.Function:
-    """What else the cost of a period needs.
+def period_cost_function(structure: Structure) -> ca.Function:
+    """Residuals of one period (``problem.residuals``) with their derivatives.
 
-    Inputs: x; the next x; the command's torque and its derivative by q_bar; gains; values.
-    Outputs: tip of the next state; its Jacobian by q; torque at the start of the period; its
-    derivatives by x and by q_bar.
+    Inputs: x; the next x; the command's torque and its derivative by q_bar; those of
+    ``problem.Period`` but tip and torque; weights; gains; values. Outputs: the residuals; their
+    derivatives by (next q, x, q_bar, former q_bar), transposed and without what is always zero.
     """
     n = structure.segments
-    held = Held.symbolic(structure)
+    given, period = PeriodInputs.symbolic(structure), Period.symbolic(n)
     x, after = ca.SX.sym("x", 2 * n), ca.SX.sym("next", 2 * n)
-    slope = ca.SX.sym("slope", n, n)
-    inputs = {
-        "command_torque": held.command_torque,
-        "command_slope": slope,
-        "gains": held.gains,
-        "values": held.packed,
-    }
-    return dense_function(
-        "period_end",
-        {"x": x, "next": after, **inputs},
-        _period_outputs(held, x, after, slope),
+    slope, weights = ca.SX.sym("slope", n, n), ca.SX.sym("weights", Weights.size())
+    end = _end_of_period(given, x, after, slope)
+    rest = {name: one for name, one in vars(period).items() if name not in ("tip", "torque")}
+    residual, by_tip, by_torque, by_command, by_former = residual_slopes_function(n)(
+        end["tip"], end["torque"], *rest.values(), weights
     )
+    slopes = [
+        by_tip @ end["tip_jacobian"],
+        by_torque @ end["torque_by_state"],
+        by_command + by_torque @ end["torque_by_command"],
+        by_former,
+    ]
+    inputs = {
+        "x": x,
+        "next": after,
+        "command_torque": given.command_torque,
+        "command_slope": slope,
+        **rest,
+        "weights": weights,
+        "gains": given.gains,
+        "values": given.packed,
+    }
+    outputs = ca.cse([residual, ca.sparsify(ca.horzcat(*slopes).T)])
+    names = (list(inputs), ["residual", "slopes"])
+    return ca.Function("period_cost", list(inputs.values()), outputs, *names)
 
 
-def _command(held: Held, q_bar: ca.SX) -> tuple[ca.SX, ca.SX]:
-    arguments = (held.structure, held.values, q_bar)
-    return held.loop.command_torque(*arguments), held.loop.command_slope(*arguments)
+def _command(given: PeriodInputs, q_bar: ca.SX) -> tuple[ca.SX, ca.SX]:
+    arguments = (given.structure, given.values, q_bar)
+    return given.loop.command_torque(*arguments), given.loop.command_slope(*arguments)
 
 
-def _period_outputs(held: Held, x: ca.SX, after: ca.SX, slope: ca.SX) -> dict[str, ca.SX]:
-    n = held.structure.segments
-    end = mechanics(held.structure, after[:n], after[n:], held.values)
+def _end_of_period(given: PeriodInputs, x: ca.SX, after: ca.SX, slope: ca.SX) -> dict[str, ca.SX]:
+    """Tip of the next state and its Jacobian by q; the torque at the start of the period and
+    its derivatives by x and by q_bar.
+    """
+    n = given.structure.segments
+    end = mechanics(given.structure, after[:n], after[n:], given.values)
     return {
         "tip": end.tips[-1],
         "tip_jacobian": end.tip_jacobian,
-        "torque": held.loop.torque_under(held.command_torque, x),
-        "torque_by_state": held.loop.torque_by_state(),
-        "torque_by_command": held.loop.torque_by_command(slope),
+        "torque": given.loop.torque_under(given.command_torque, x),
+        "torque_by_state": given.loop.torque_by_state(),
+        "torque_by_command": given.loop.torque_by_command(slope),
     }
 
 
 def _extrapolated(
-    held: Held, first: _Reached, start: float, length: float, columns: int
+    given: PeriodInputs, first: _Reached, start: float, length: float, columns: int
 ) -> _Reached:
     ends = []
     for parts in range(1, columns + 1):
         h, end = length / parts, first
         for part in range(parts):
-            end = _implicit_step(held, end, start + part * h, h)
+            end = _implicit_step(given, end, start + part * h, h)
         ends.append(end)
     weights = extrapolation_weights(columns)
 
@@ -180,28 +198,18 @@ def _extrapolated(
     )
 
 
-def _implicit_step(held: Held, first: _Reached, time: float, h: float) -> _Reached:
-    """One linearly implicit step from ``time``, with derivatives.
-
-    The step solves W d = r for the change d of the rates. Its derivative is
-    -W^-1 d(W d - r): the vector is differentiated at fixed d, and never the
-    solution of the linear system.
-    """
-    n = held.structure.segments
-    step = ImplicitStep(held, first.x, time + h, h)
-    matrix = step.matrix(step.matrix_sum())
-    still = ca.SX.zeros(n)
-    change = -solve_symmetric(matrix, step.residual(step.residual_sum(still), still))
-    by_x = step.residual_by_state(step.residual_by_state_sum(change))
-    rates = -solve_symmetric(
-        matrix,
-        ca.horzcat(by_x @ first.by_state, by_x @ first.by_torque + step.residual_by_torque()),
-    )
-    rates_by_state = first.by_state[n:, :] + rates[:, : 2 * n]
-    rates_by_torque = first.by_torque[n:, :] + rates[:, 2 * n :]
+def _implicit_step(given: PeriodInputs, first: _Reached, time: float, h: float) -> _Reached:
+    """One linearly implicit step from ``time``, with derivatives by the chain rule."""
+    n = given.structure.segments
+    step = ImplicitStep(given, first.x, time + h, h)
+    matrix_sum = step.matrix_sum()
+    change = step.change(matrix_sum, step.residual_sum())
+    by_state, by_torque = step.slopes(matrix_sum, step.residual_by_state_sum(change))
     rate = first.x[n:] + change
+    rate_by_state = by_state @ first.by_state
+    rate_by_torque = by_state @ first.by_torque + by_torque
     return _Reached(
         ca.vertcat(first.x[:n] + h * rate, rate),
-        ca.vertcat(first.by_state[:n, :] + h * rates_by_state, rates_by_state),
-        ca.vertcat(first.by_torque[:n, :] + h * rates_by_torque, rates_by_torque),
+        ca.vertcat(first.by_state[:n, :] + h * rate_by_state, rate_by_state),
+        ca.vertcat(first.by_torque[:n, :] + h * rate_by_torque, rate_by_torque),
     )

@@ -8,28 +8,28 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softwave_min.parameters import FailureParameters, ParameterSet
-from softwave_min.runs.experiment import Run
 from softwave_min.simulation import (
     CONTROLLERS,
+    REFERENCE,
     ClosedLoop,
     Scenario,
     compile_engine,
     root_mean_square_error,
     simulate,
 )
-from softwave_min.waves import Sea
+from softwave_min.waves import Sea, Spectrum
 
 Path = tuple[tuple[float, float], ...]
 RunData = Mapping[str, NDArray[Any]]
 Window = Literal["whole", "settled"]
 
-TRANSIENT = 10.0
+TRANSIENT = ClosedLoop.TRANSIENT
 """Seconds after which a run counts as settled."""
 WINDOWS: Mapping[Window, str] = {"whole": "", "settled": "_settled"}
 """Windows of an RMSE, start-up included or not, and the ending of their columns."""
@@ -37,15 +37,36 @@ SUMMARY_FIELDS = ("error", "status", "source")
 """Fields of a closed loop that errors, failed solves and fallbacks are read off."""
 
 
+def controllers() -> tuple[str, ...]:
+    """Names of all controllers that are compared, the reference included."""
+    return tuple(CONTROLLERS)
+
+
+def others() -> tuple[str, ...]:
+    """Names of those that are compared with the reference."""
+    return tuple(name for name in CONTROLLERS if name != REFERENCE)
+
+
+@dataclass(frozen=True)
+class MeasuredSpectrum:
+    """The shape of a measured sea, whatever its format was."""
+
+    frequency_hz: tuple[float, ...]
+    density: tuple[float, ...]
+    """In m^2/Hz."""
+
+
 @dataclass(frozen=True)
 class LoopRun:
-    """All that determines the closed loops at one place of the grid."""
+    """All that determines the closed loops on one path in one sea."""
 
     parameters: ParameterSet
     """With the sea, its seed, and the failure."""
     path: Path
     """Desired tip at every control instant, in m; it stays at its last point."""
-    controllers: tuple[str, ...] = field(default_factory=lambda: tuple(CONTROLLERS))
+    controllers: tuple[str, ...] = field(default_factory=controllers)
+    spectrum: MeasuredSpectrum | None = None
+    """Taken in place of the JONSWAP curve and scaled to the parameters' height."""
 
 
 def with_failure(
@@ -56,14 +77,33 @@ def with_failure(
     return replace(parameters, failure=FailureParameters(segment, manner, known))
 
 
+def sea_of(run: LoopRun) -> Sea:
+    """The sea of a run: random phases, and the JONSWAP or the measured spectrum."""
+    sea, gravity = run.parameters.sea, run.parameters.fluid.gravity
+    if run.spectrum is None:
+        return Sea.random(sea, gravity)
+    measured = Spectrum(np.array(run.spectrum.frequency_hz), np.array(run.spectrum.density))
+    return Sea.from_spectrum(
+        measured.scaled_to(sea.significant_height),
+        (sea.lowest_frequency_hz, sea.highest_frequency_hz),
+        sea.components,
+        depth=sea.depth,
+        gravity=gravity,
+        rng=np.random.default_rng(sea.seed),
+    )
+
+
 def scenario_of(run: LoopRun) -> Scenario:
     """Arm, sea and path of a run."""
-    parameters = run.parameters
-    sea = Sea.random(parameters.sea, parameters.fluid.gravity)
-    return Scenario.build(parameters, sea, np.array(run.path))
+    return Scenario.build(run.parameters, sea_of(run), np.array(run.path))
 
 
-def prepare(run: Run) -> None:
+class _Prepared(Protocol):
+    @property
+    def parameters(self) -> Any: ...
+
+
+def prepare(run: _Prepared) -> None:
     """Compile what the run needs, if its parameters are or hold a set."""
     found = getattr(run.parameters, "parameters", run.parameters)
     if isinstance(found, ParameterSet):
@@ -78,6 +118,18 @@ def closed_loops(run: LoopRun) -> dict[str, NDArray[Any]]:
         loop = simulate(scenario, controller)
         found |= {f"{controller}_{name}": array for name, array in kept(loop).items()}
     return found
+
+
+def errors_alone(run: LoopRun) -> dict[str, NDArray[Any]]:
+    """`closed_loops` with ``SUMMARY_FIELDS`` and no more, where there are many of them."""
+    found = closed_loops(run)
+    return {name: array for name, array in found.items() if name.endswith(SUMMARY_FIELDS)}
+
+
+def whole_record(run: LoopRun) -> dict[str, NDArray[Any]]:
+    """Simulate a run of one controller; the arrays are the fields of ``ClosedLoop``."""
+    (controller,) = run.controllers
+    return vars(simulate(scenario_of(run), controller))
 
 
 def kept(loop: ClosedLoop) -> dict[str, NDArray[Any]]:
@@ -112,6 +164,11 @@ def whole_error(data: RunData, name: str) -> float:
 def settled_error(data: RunData, name: str, period: float) -> float:
     """RMSE from ``TRANSIENT`` on, in m; ``period`` is the control period in s."""
     return root_mean_square_error(data[f"{name}_error"][round(TRANSIENT / period) :])
+
+
+def errors(data: RunData, name: str, period: float) -> dict[str, float]:
+    """RMSE of a loop in each of the ``WINDOWS``, in m, by the ending of its columns."""
+    return {"": whole_error(data, name), "_settled": settled_error(data, name, period)}
 
 
 def failed_solves(data: RunData, *names: str) -> int:

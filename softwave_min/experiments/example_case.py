@@ -1,107 +1,56 @@
-"""The paper's Fig. example_case: one pose, both controllers, in two seas (C24-C29).
+"""The paper's Fig. example_case: one pose, all controllers, in two seas (C24-C29).
 
-The same pose is held once in the paper's random sea, and once in a sea with a
-measured spectrum, scaled to the same height.
+The same pose is held once in the sea of the parameter set, which is the paper's where a
+shipped set is taken, and once in a sea with a measured spectrum, scaled to the same height.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from pydantic import ConfigDict
-from pydantic.dataclasses import dataclass as validated
 
 from softwave_min.data import data_folder
-from softwave_min.experiments.closed_loop import TRANSIENT, prepare
-from softwave_min.paper.cases import poses, wave_cases
-from softwave_min.parameters import ParameterSet, Positive, load_data
+from softwave_min.experiments.closed_loop import (
+    TRANSIENT,
+    LoopRun,
+    MeasuredSpectrum,
+    controllers,
+    others,
+    prepare,
+    whole_record,
+)
+from softwave_min.experiments.places import in_realisation
+from softwave_min.paper.cases import poses
+from softwave_min.paper.numbers import example_case
+from softwave_min.parameters import ParameterSet
 from softwave_min.runs.experiment import Experiment, Run, RunArrays, Tables
-from softwave_min.simulation import ClosedLoop, Scenario, root_mean_square_error, simulate
-from softwave_min.waves import Sea
-from softwave_min.waves.records import BuoyRecord, measured_sea, named_records
+from softwave_min.simulation import ClosedLoop, root_mean_square_error
+from softwave_min.waves.records import named_records
 
 Floats = NDArray[np.float64]
 Row = Mapping[str, float | int | str]
 
 SEAS = ("jonswap", "measured")
-CONTROLLERS: tuple[str, ...] = ("baseline", "nmpc")
 KEY_QUANTILE = 0.9
 """A moment is a key moment where the wave torque exceeds this quantile of itself."""
 KEY_GAP = 0.5
 """Seconds; key moments closer than this are one."""
 
 
-@validated(frozen=True, config=ConfigDict(extra="forbid"))
-class Choice:
-    """What data/paper/example_case.toml fixes."""
-
-    case: str
-    significant_height: Positive
-    pose: str
-    measured: str
-
-
-@dataclass(frozen=True)
-class ExampleRun:
-    """All that determines one closed loop of the example."""
-
-    parameters: ParameterSet
-    target: tuple[float, float]
-    record: BuoyRecord | None
-    """Measured spectrum, or None for the JONSWAP sea of the parameters."""
-    controller: str
-
-
-def sea_of(run: ExampleRun) -> Sea:
-    """The sea that a run is in."""
-    sea, gravity = run.parameters.sea, run.parameters.fluid.gravity
-    if run.record is None:
-        return Sea.random(sea, gravity)
-    return measured_sea(run.record, sea, gravity)
-
-
-def scenario_of(run: ExampleRun) -> Scenario:
-    """Arm, sea and target of a run."""
-    return Scenario.build(run.parameters, sea_of(run), run.target)
-
-
-def closed_loop(run: ExampleRun) -> dict[str, NDArray[Any]]:
-    """Simulate one run; the arrays are the fields of ``ClosedLoop``."""
-    return vars(simulate(scenario_of(run), run.controller))
-
-
-def choice() -> Choice:
-    """Sea, height and pose of the example."""
-    return load_data(Choice, "paper/example_case.toml")
-
-
 def runs(parameters: ParameterSet) -> Sequence[Run]:
-    """Both controllers in both seas."""
-    chosen = choice()
-    sea = replace(
-        parameters.sea,
-        significant_height=chosen.significant_height,
-        peak_period=wave_cases()[chosen.case].peak_period,
-    )
-    records = {
-        "jonswap": None,
-        "measured": named_records(data_folder() / "buoys" / "records.toml")[chosen.measured],
-    }
+    """Every controller in both seas, each of them one run with all its signals."""
+    chosen = example_case()
+    record = named_records(data_folder() / "buoys" / "records.toml")[chosen.measured].spectrum
+    measured = MeasuredSpectrum(tuple(record.frequency_hz.tolist()), tuple(record.density.tolist()))
+    spectra = {"jonswap": None, "measured": measured}
+    first, path = in_realisation(parameters, 0), (poses()[chosen.pose],)
     return [
-        Run(
-            f"{name}-{controller}",
-            closed_loop,
-            ExampleRun(
-                replace(parameters, sea=sea), poses()[chosen.pose], records[name], controller
-            ),
-        )
-        for name in SEAS
-        for controller in CONTROLLERS
+        Run(f"{sea}-{name}", whole_record, LoopRun(first, path, (name,), spectra[sea]))
+        for sea in SEAS
+        for name in controllers()
     ]
 
 
@@ -141,23 +90,20 @@ def lag_and_correlation(first: Floats, second: Floats, period: float) -> tuple[f
 def tabulate(parameters: ParameterSet, arrays: RunArrays) -> Tables:
     """Summary of the runs, the joints' statistics, and the key moments."""
     period = parameters.nmpc.control_period
-    peak_period = wave_cases()[choice().case].peak_period
-    loops = {name: ClosedLoop(**one) for name, one in arrays.items()}
     summary: list[Row] = []
     joints: list[Row] = []
     moments: list[Row] = []
     for sea in SEAS:
-        for controller in CONTROLLERS:
-            loop = loops[f"{sea}-{controller}"]
-            labels: Row = {"sea": sea, "controller": controller, "peak_period": peak_period}
-            summary.append({**labels, **_summary_row(loop)})
-            joints.extend(
-                {"sea": sea, "controller": controller, **row} for row in _joint_rows(loop, period)
-            )
-        nmpc = loops[f"{sea}-nmpc"]
+        for name in controllers():
+            loop = ClosedLoop(**arrays[f"{sea}-{name}"])
+            labels: Row = {"sea": sea, "controller": name}
+            period_of_peak = {"peak_period": parameters.sea.peak_period}
+            summary.append({**labels, **period_of_peak, **_summary_row(loop)})
+            joints.extend({**labels, **row} for row in _joint_rows(loop, period))
+        shown = ClosedLoop(**arrays[f"{sea}-{others()[0]}"])
         moments.extend(
             {"sea": sea, "start": start, "end": end}
-            for start, end in key_moments(nmpc.time, nmpc.wave_torque)
+            for start, end in key_moments(shown.time, shown.wave_torque)
         )
     return {
         "example_case": pd.DataFrame(summary),
@@ -204,7 +150,7 @@ def _joint_rows(loop: ClosedLoop, period: float) -> list[Row]:
 
 EXPERIMENT = Experiment(
     name="example_case",
-    title="One pose under waves: both controllers, in a JONSWAP and in a measured sea",
+    title="One pose under waves: all controllers, in a JONSWAP and in a measured sea",
     claims=("C24", "C25", "C26", "C27", "C28", "C29"),
     runs=runs,
     tabulate=tabulate,

@@ -8,42 +8,29 @@ noise differs as well.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from typing import Any
 
 import pandas as pd
-from numpy.typing import NDArray
 
 from softwave_min.experiments import actuator_failure, error_ratio, star
-from softwave_min.experiments.closed_loop import SUMMARY_FIELDS, LoopRun, closed_loops, prepare
+from softwave_min.experiments.closed_loop import LoopRun, errors_alone, prepare
+from softwave_min.experiments.failures import INTACT, PAPERS_CASE
+from softwave_min.experiments.places import at_least
 from softwave_min.parameters import ParameterSet
 from softwave_min.runs.experiment import Experiment, Run, RunArrays, Tables
 
 SEEDS = 20
 """Random seas, unless the parameters ask for more than one."""
-CASES = (actuator_failure.INTACT, actuator_failure.PAPERS_CASE)
-
-
-def in_many_seas(parameters: ParameterSet) -> ParameterSet:
-    """The parameters with as many seas as this experiment takes."""
-    if parameters.sea.realisations > 1:
-        return parameters
-    return replace(parameters, sea=replace(parameters.sea, realisations=SEEDS))
-
-
-def errors(run: LoopRun) -> dict[str, NDArray[Any]]:
-    """Errors and statuses of the closed loops."""
-    found = closed_loops(run)
-    return {name: array for name, array in found.items() if name.endswith(SUMMARY_FIELDS)}
+CASES = (INTACT, PAPERS_CASE)
 
 
 def _named(parameters: ParameterSet) -> Iterator[tuple[str, Run]]:
     """What the tables are made of, by the names that their makers know."""
-    for cell in error_ratio.cells(parameters):
-        yield cell.name, cell.run
+    for run in error_ratio.runs(parameters):
+        yield run.name, run
     for place in actuator_failure.places(parameters):
         for case in CASES:
-            run = place.run(case)
+            run = actuator_failure.run_at(place, case)
             yield run.name, run
     for run in star.runs(parameters):
         yield f"star-{run.name}", run
@@ -53,8 +40,8 @@ def _distinct(parameters: ParameterSet) -> tuple[list[Run], dict[str, str]]:
     """The runs, each once, and the name of the run for each name of a closed loop."""
     by_parameters: dict[Any, Run] = {}
     aliases: dict[str, str] = {}
-    for name, run in _named(in_many_seas(parameters)):
-        compute = errors if isinstance(run.parameters, LoopRun) else run.compute
+    for name, run in _named(at_least(parameters, SEEDS)):
+        compute = errors_alone if isinstance(run.parameters, LoopRun) else run.compute
         kept = by_parameters.setdefault(run.parameters, Run(name, compute, run.parameters))
         aliases[name] = kept.name
     return list(by_parameters.values()), aliases
@@ -70,8 +57,8 @@ def tabulate(parameters: ParameterSet, arrays: RunArrays) -> Tables:
     _, aliases = _distinct(parameters)
     of = {name: arrays[run] for name, run in aliases.items()}
     stars = {name.removeprefix("star-"): of[name] for name in of if name.startswith("star-")}
-    many = in_many_seas(parameters)
-    grid = error_ratio.cell_table(many, of)
+    many = at_least(parameters, SEEDS)
+    grid = error_ratio.grid_table(many, of)
     failure = actuator_failure.grid_table(many, of, CASES)
     followed = star.star_table(many, stars)
     return {
@@ -79,7 +66,7 @@ def tabulate(parameters: ParameterSet, arrays: RunArrays) -> Tables:
         "actuator_failure": failure,
         "star": followed,
         "reductions": error_ratio.headline(grid),
-        "reductions_settled": error_ratio.headline(grid, "ratio_settled"),
+        "reductions_settled": error_ratio.headline(grid, "settled"),
         "rises": actuator_failure.headline(failure),
         "rise_spread": actuator_failure.spread(failure),
         "star_errors": star.headline(followed),
@@ -90,7 +77,9 @@ def tabulate(parameters: ParameterSet, arrays: RunArrays) -> Tables:
 def _places(grid: pd.DataFrame) -> pd.DataFrame:
     """In how many seas the largest and the smallest reduction occur at each pose."""
     found = error_ratio.extremes(grid)
-    counts = found.groupby(["wave", "extreme", "pose", "paper_pose"], sort=False).size()
+    counts = found.groupby(
+        ["wave", "controller", "extreme", "pose", "paper_pose"], sort=False
+    ).size()
     table = counts.rename("seas").reset_index()
     table["share"] = table["seas"] / grid["seed"].nunique()
     return table

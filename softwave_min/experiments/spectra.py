@@ -14,11 +14,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from pydantic import ConfigDict
-from pydantic.dataclasses import dataclass as validated
 
 from softwave_min.paper.cases import WaveCase, wave_cases
-from softwave_min.parameters import ParameterSet, Positive, SeaParameters, load_data
+from softwave_min.paper.numbers import spectra
+from softwave_min.parameters import ParameterSet, SeaParameters
 from softwave_min.runs.experiment import Experiment, Run, RunArrays, Tables
 from softwave_min.waves.field import Sea
 from softwave_min.waves.spectrum import Spectrum, jonswap_density, periodogram
@@ -35,14 +34,6 @@ RANGE = (2.5, 97.5)
 QUANTITIES = (("significant_height", "m"), ("peak_period", "s"))
 
 
-@validated(frozen=True, config=ConfigDict(extra="forbid"))
-class Choice:
-    """What data/paper/spectra.toml fixes."""
-
-    significant_height: Positive
-    window: Positive
-
-
 @dataclass(frozen=True)
 class SeaRecord:
     """A sea of the paper and how long it is looked at."""
@@ -57,14 +48,9 @@ class SeaRecord:
     """Length of the record, in s."""
 
 
-def choice() -> Choice:
-    """Height and length of the records."""
-    return load_data(Choice, "paper/spectra.toml")
-
-
 def runs(parameters: ParameterSet) -> list[Run]:
     """One run per wave case."""
-    chosen = choice()
+    chosen = spectra()
     return [
         Run(
             case.name,
@@ -114,8 +100,8 @@ def compute(record: SeaRecord) -> dict[str, NDArray[Any]]:
         "sample": [_record_spectrum(elevation(seed), time) for seed in range(RECORDS)],
     }
     estimates = {
-        f"{source}_{quantity}": np.array([getattr(spectrum, quantity) for spectrum in spectra])
-        for source, spectra in found.items()
+        f"{source}_{quantity}": np.array([getattr(spectrum, quantity) for spectrum in estimated])
+        for source, estimated in found.items()
         for quantity, _ in QUANTITIES
     }
     return {
@@ -138,7 +124,7 @@ def tabulate(
 ) -> Tables:
     """Tables ``wave_cases`` (the paper's) and ``spectra`` (paper, curve and record)."""
     cases = wave_cases().values()
-    height = choice().significant_height
+    height = spectra().significant_height
     table = pd.DataFrame(
         {
             "case": case.name,

@@ -8,25 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any
 
 import pandas as pd
-from numpy.typing import NDArray
 
 from softwave_min.experiments.closed_loop import (
     failed_solves,
     fallbacks,
     prepare,
     settled_error,
-    summary_arrays,
     whole_error,
 )
-from softwave_min.experiments.places import in_sea, realisations
-from softwave_min.experiments.star import StarRun, choice, scenario_of
-from softwave_min.paper.cases import wave_cases
+from softwave_min.experiments.star import choice, seas_of
+from softwave_min.experiments.star_loops import StarRun, follow
 from softwave_min.parameters import ParameterSet
 from softwave_min.runs.experiment import Experiment, Run, RunArrays, Tables
-from softwave_min.simulation import simulate
 
 LOADS = ("with drag", "without drag")
 
@@ -39,18 +34,11 @@ def loaded(parameters: ParameterSet, load: str) -> ParameterSet:
     return replace(parameters, fluid=fluid)
 
 
-def follow(run: StarRun) -> dict[str, NDArray[Any]]:
-    """Follow the star under NMPC; what ``nmpc`` is ``judged`` by."""
-    return summary_arrays(simulate(scenario_of(run.parameters, run.star), "nmpc"), "nmpc")
-
-
 def _cases(parameters: ParameterSet) -> Iterator[tuple[str, str, ParameterSet]]:
     """Load, wave case, and the parameters with both, for every random sea."""
-    height = choice().significant_height
-    for one in realisations(parameters):
-        for load in LOADS:
-            for case in wave_cases():
-                yield load, case, in_sea(loaded(one, load), case, height)
+    for load in LOADS:
+        for case, one in seas_of(loaded(parameters, load)):
+            yield load, case, one
 
 
 def _name(load: str, case: str, parameters: ParameterSet) -> str:
@@ -58,10 +46,10 @@ def _name(load: str, case: str, parameters: ParameterSet) -> str:
 
 
 def runs(parameters: ParameterSet) -> Sequence[Run]:
-    """The nominal star in each sea, under each load."""
+    """The nominal star under NMPC in each sea, under each load."""
     path = choice().path
     return [
-        Run(_name(load, case, one), follow, StarRun(one, path))
+        Run(_name(load, case, one), follow, StarRun(one, path, ("nmpc",)))
         for load, case, one in _cases(parameters)
     ]
 

@@ -18,25 +18,22 @@ from pydantic.dataclasses import dataclass as validated
 
 from softwave_min.experiments.closed_loop import failed_solves, prepare
 from softwave_min.experiments.places import in_sea, realisations
-from softwave_min.experiments.star import (
+from softwave_min.experiments.star import Choice, choice
+from softwave_min.experiments.star_loops import (
     METRICS,
     STILL,
-    Choice,
-    choice,
-    in_still_water,
+    SweepRun,
+    SweepSea,
+    deviation,
+    follow_swept,
     measures,
-    scenario_of,
 )
 from softwave_min.experiments.star_path import Drawing, Manner, StarParameters
-from softwave_min.experiments.zero_order_hold import held_reference, simulate_told
+from softwave_min.paper.tolerance import SHARE
 from softwave_min.parameters import Count, ParameterSet, Positive, load_data
 from softwave_min.runs.experiment import Experiment, Run, RunArrays, Tables, Tolerance
-from softwave_min.simulation import simulate
 
 Row = Mapping[str, Any]
-
-TOLERANCE = 0.15
-"""Relative distance to the paper's numbers within which a star counts as a candidate."""
 
 
 @validated(frozen=True, config=ConfigDict(extra="forbid"))
@@ -50,20 +47,13 @@ class Grid:
     previewed: tuple[Annotated[bool, Strict()], ...]
 
 
-@validated(frozen=True, config=ConfigDict(extra="forbid"))
-class Stars:
-    """What data/paper/star_sweep.toml holds."""
-
-    stars: tuple[Grid, ...]
-
-
 @dataclass(frozen=True)
-class Variant:
+class SweepPoint:
     """A star of the sweep."""
 
     star: StarParameters
     previewed: bool
-    """Whether the NMPC is told the reference of its whole horizon; otherwise it takes the
+    """Whether the NMPC knows the reference of its whole horizon; otherwise it takes the
     next point for all of it, as the paper's cost is printed (A18)."""
 
     @property
@@ -75,60 +65,12 @@ class Variant:
         return f"{star.drawing}-{radius}-{star.manner}-{star.laps}-{told}"
 
 
-@dataclass(frozen=True)
-class SweepRun:
-    """All that determines the closed loops of one star of the sweep."""
-
-    parameters: ParameterSet
-    variant: Variant
-    significant_height: float
-    """In m."""
-    paper: tuple[tuple[str, float], ...]
-    """Wave cases and the paper's RMSE in m; the last case is run first."""
-
-
-def try_variant(run: SweepRun) -> dict[str, NDArray[Any]]:
-    """Follow a star of the sweep under NMPC.
-
-    In still water and in the last of the wave cases; in the others only if some measure
-    comes within ``TOLERANCE`` of the paper's number in that one, because no measure can
-    otherwise do so in all.
-
-    Returns
-    -------
-    dict of ndarray
-        ``target`` (T + 1, 2) in m, and ``<case>_tip`` (T + 1, 2), ``<case>_status`` (T,).
-    """
-    found = _tried(run, STILL, in_still_water(run.parameters))
-    *others, (last, paper) = run.paper
-    found |= _tried(run, last, in_sea(run.parameters, last, run.significant_height))
-    period = run.parameters.nmpc.control_period
-    values = measures(run.variant.star, found, last, period).values()
-    if any(_deviation(value, paper) <= TOLERANCE for value in values):
-        for case, _ in others:
-            found |= _tried(run, case, in_sea(run.parameters, case, run.significant_height))
-    return found
-
-
-def _tried(run: SweepRun, name: str, parameters: ParameterSet) -> dict[str, NDArray[Any]]:
-    scenario = scenario_of(parameters, run.variant.star)
-    if run.variant.previewed:
-        loop = simulate(scenario, "nmpc")
-    else:
-        loop = simulate_told(scenario, held_reference)
-    return {
-        "target": loop.target,
-        f"{name}_tip": loop.tips[:, -1],
-        f"{name}_status": loop.status,
-    }
-
-
-def variants() -> list[Variant]:
-    """The stars of the sweep; the nominal one is among them."""
+def sweep_points() -> list[SweepPoint]:
+    """The stars of data/paper/star_sweep.toml; the nominal one is among them."""
     nominal = choice().path
     time = nominal.laps * nominal.lap_duration
     return [
-        Variant(
+        SweepPoint(
             replace(
                 nominal,
                 outer_radius=radius,
@@ -139,75 +81,67 @@ def variants() -> list[Variant]:
             ),
             previewed,
         )
-        for grid in _grids()
+        for grid in load_data(dict[str, tuple[Grid, ...]], "paper/star_sweep.toml")["stars"]
         for previewed, drawing, manner, laps, radius in itertools.product(
             grid.previewed, grid.drawing, grid.manner, grid.laps, grid.outer_radius
         )
     ]
 
 
-def _grids() -> tuple[Grid, ...]:
-    return load_data(Stars, "paper/star_sweep.toml").stars
-
-
 def runs(parameters: ParameterSet) -> Sequence[Run]:
-    """Every star, in the first sea."""
+    """Every star, in the first sea; the case that the paper draws comes first."""
     chosen = choice()
     first = next(realisations(parameters))
-    paper = sorted(chosen.rmse.items(), key=lambda item: item[0] == chosen.case)
+    seas = tuple(
+        SweepSea(case, in_sea(first, case, chosen.significant_height), chosen.rmse[case])
+        for case in sorted(chosen.rmse, key=lambda case: case != chosen.case)
+    )
     return [
-        Run(
-            variant.name,
-            try_variant,
-            SweepRun(first, variant, chosen.significant_height, tuple(paper)),
-        )
-        for variant in variants()
+        Run(one.name, follow_swept, SweepRun(first, one.star, one.previewed, seas, SHARE))
+        for one in sweep_points()
     ]
 
 
 def tabulate(parameters: ParameterSet, arrays: RunArrays) -> Tables:
     """Table ``star_sweep``: one row per star and measure."""
     chosen, period = choice(), parameters.nmpc.control_period
-    rows = [row for one in variants() for row in _rows(chosen, one, arrays[one.name], period)]
+    rows = [row for one in sweep_points() for row in _rows(chosen, one, arrays[one.name], period)]
     return {"star_sweep": pd.DataFrame(rows)}
 
 
 def _rows(
-    chosen: Choice, variant: Variant, found: Mapping[str, NDArray[Any]], period: float
+    chosen: Choice, point: SweepPoint, found: Mapping[str, NDArray[Any]], period: float
 ) -> Iterator[Row]:
     """One row per measure: its value in still water and in each sea that was run.
 
     ``deviation`` is the largest relative one from the paper's numbers; a ``candidate``
-    was run in all seas and is within ``TOLERANCE`` in each.
+    was run in all seas and is within the tolerance in each.
     """
-    star, cases = variant.star, (STILL, *chosen.rmse)
+    star, cases = point.star, (STILL, *chosen.rmse)
     tried = [case for case in cases if f"{case}_tip" in found]
-    values = {case: measures(star, found, case, period) for case in tried}
-    failed = sum(failed_solves(found, case) for case in tried)
+    calm = found[f"{STILL}_tip"]
+    values = {
+        case: measures(star, found["target"], found[f"{case}_tip"], calm, period) for case in tried
+    }
     for metric in METRICS:
-        deviations = {
-            case: _deviation(values[case][metric], paper)
+        apart = [
+            deviation(values[case][metric], paper)
             for case, paper in chosen.rmse.items()
             if case in tried
-        }
-        largest = max(deviations.values())
+        ]
         yield {
             "outer_radius": star.outer_radius,
             "drawing": star.drawing,
             "manner": star.manner,
             "laps": star.laps,
-            "previewed": variant.previewed,
+            "previewed": point.previewed,
             "speed": star.speed if star.manner == "edges" else None,
             "measure": metric,
             **{case: values[case][metric] if case in tried else None for case in cases},
-            "deviation": largest,
-            "candidate": len(deviations) == len(chosen.rmse) and largest <= TOLERANCE,
-            "solves_failed": failed,
+            "deviation": max(apart),
+            "candidate": len(apart) == len(chosen.rmse) and max(apart) <= SHARE,
+            "solves_failed": failed_solves(found, *tried),
         }
-
-
-def _deviation(value: float, paper: float) -> float:
-    return abs(value - paper) / paper
 
 
 EXPERIMENT = Experiment(

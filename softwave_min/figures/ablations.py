@@ -1,4 +1,4 @@
-"""What each part is worth: all variants, horizon and delay, fairer opponents, and slow control."""
+"""What each part is worth: all ablations, horizon and delay, fairer opponents, and slow control."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullLocator
 
-from softwave_min.experiments.ablations import BASELINE, NMPC
+from softwave_min.experiments.ablation_loops import BASELINE, NMPC
 from softwave_min.experiments.closed_loop import TRANSIENT
+from softwave_min.figures.marks import failure_sentence
 from softwave_min.figures.style import DASHES, GREY, INK, ORANGE, SERIES, SKY, Drawing
 from softwave_min.parameters import ParameterSet
 from softwave_min.runs.store import Store
@@ -23,7 +24,7 @@ GROUPS = {
     "horizon": "horizon ",
     "opponent": "baseline with ",
 }
-"""Groups of variants in the order of the figure, with what is written before their labels."""
+"""Groups of ablations in the order of the figure, with what is written before their labels."""
 OPPONENTS = {
     BASELINE: ("baseline", INK, "-", "s"),
     "baseline_integral": ("with integral", GREY, DASHES[1], "^"),
@@ -33,26 +34,22 @@ OPPONENTS = {
 """Label, colour, dashes and marker of each loop that the NMPC is compared with."""
 
 
+TITLES = {"whole": "(a) whole run", "settled": f"(b) without the first {TRANSIENT:g} s"}
+"""Of panels with one window each."""
+
+
 def draw(store: Store, parameters: ParameterSet) -> dict[str, Drawing]:
     """The four figures, from the tables."""
     cells, summary = store.read_table("ablations"), store.read_table("summary")
     heights, waves = store.read_table("by_height"), store.read_table("by_wave")
     return {
-        "ablations": _forest(summary, _failures(cells)),
-        "horizon_and_delay": _curves(waves, parameters, _failures(cells)),
+        "ablations": _forest(summary, failure_sentence(cells)),
+        "horizon_and_delay": _curves(waves, parameters, failure_sentence(cells)),
         "opponents": _opponents(heights, summary),
-        "control_speed": _speed(store.read_table("spreads"), _failures(store.read_table("speed"))),
+        "control_speed": _speed(
+            store.read_table("spreads"), failure_sentence(store.read_table("speed"))
+        ),
     }
-
-
-def _failures(table: pd.DataFrame) -> str:
-    failed, fallen = int(table["solves_failed"].sum()), int(table["fallbacks"].sum())
-    if not failed + fallen:
-        return "Every solve converged."
-    return (
-        f"Solves that did not converge: {failed}; commands from the fallback: {fallen}; "
-        "their runs count."
-    )
 
 
 def _plain(axis: Axis, *digits: int) -> None:
@@ -71,8 +68,7 @@ def _forest(summary: pd.DataFrame, failures: str) -> Drawing:
     labels = summary.drop_duplicates("variant").set_index("variant")
     figure = Figure(figsize=(7.0, 6.0))
     panels: Sequence[Axes] = figure.subplots(1, 2, sharey=True)
-    titles = ("(a) whole run", f"(b) without the first {TRANSIENT:g} s")
-    for axes, window, title in zip(panels, ("whole", "settled"), titles, strict=True):
+    for axes, (window, title) in zip(panels, TITLES.items(), strict=True):
         part = rows[rows["window"] == window].set_index("variant").loc[names]
         at = -np.arange(len(part))
         axes.axvline(1.0, color=GREY, linestyle="-", linewidth=0.8)
@@ -147,8 +143,7 @@ def _curves(waves: pd.DataFrame, parameters: ParameterSet, failures: str) -> Dra
 def _opponents(heights: pd.DataFrame, summary: pd.DataFrame) -> Drawing:
     figure = Figure(figsize=(7.0, 3.0))
     panels: Sequence[Axes] = figure.subplots(1, 2, sharey=True)
-    titles = ("(a) whole run", f"(b) without the first {TRANSIENT:g} s")
-    for axes, window, title in zip(panels, ("whole", "settled"), titles, strict=True):
+    for axes, (window, title) in zip(panels, TITLES.items(), strict=True):
         part = heights[heights["window"] == window]
         for name, (label, colour, dash, marker) in OPPONENTS.items():
             one = part[part["variant"] == name].sort_values("Hs")

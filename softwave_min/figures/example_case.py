@@ -1,4 +1,4 @@
-"""The paper's Fig. example_case, in two seas, and both controllers side by side."""
+"""The paper's Fig. example_case, in two seas, and all controllers side by side."""
 
 from __future__ import annotations
 
@@ -7,39 +7,54 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from softwave_min.arm import Arm
-from softwave_min.control.nmpc import Status
-from softwave_min.experiments.closed_loop import TRANSIENT
-from softwave_min.experiments.example_case import (
-    EXPERIMENT,
-    SEAS,
-    ExampleRun,
-    key_moments,
-    sea_of,
-)
+from softwave_min.control.problem import Status
+from softwave_min.experiments.closed_loop import TRANSIENT, LoopRun, controllers, others, sea_of
+from softwave_min.experiments.example_case import EXPERIMENT, SEAS, key_moments
 from softwave_min.figures.headline import Side, headline
-from softwave_min.figures.style import BLUE, DASHES, GREY, INK, ORANGE, SERIES, Drawing
+from softwave_min.figures.marks import legend_above, look, stem_for
+from softwave_min.figures.style import BLUE, DASHES, GREY, ORANGE, SERIES, Drawing
+from softwave_min.paper.cases import wave_cases
 from softwave_min.parameters import ParameterSet
 from softwave_min.runs.experiment import Run
 from softwave_min.runs.store import Store
 from softwave_min.simulation import ClosedLoop, Source
 from softwave_min.waves import Sea
 
-SEA_NAMES = {"jonswap": "JONSWAP sea W3", "measured": "measured sea, NDBC 41010"}
-
 
 def draw(store: Store, parameters: ParameterSet) -> dict[str, Drawing]:
-    """The paper's four panels for each sea, and the errors of both controllers."""
+    """The paper's four panels for each sea and controller, and the errors of all controllers."""
     runs = {run.name: run for run in EXPERIMENT.runs(parameters)}
     loops = {name: ClosedLoop(**store.load_run(run)) for name, run in runs.items()}
     drawings = {
-        f"example_case_{sea}": _panels(sea, runs[f"{sea}-nmpc"], loops[f"{sea}-nmpc"])
+        stem_for(f"example_case_{sea}", name): _panels(
+            sea, name, runs[f"{sea}-{name}"], loops[f"{sea}-{name}"]
+        )
+        for name in others()
         for sea in SEAS
     }
-    return {**drawings, "errors": _errors(loops), "headline": _headline(runs, loops)}
+    case: LoopRun = next(iter(runs.values())).parameters
+    arm = Arm(case.parameters.arm, case.parameters.fluid)
+    sides = tuple(Side(name, loops[f"{SEAS[0]}-{name}"]) for name in controllers())
+    words = _sea_words(parameters)
+    return {
+        **drawings,
+        "errors": _errors(words, loops),
+        "headline": headline(arm, sea_of(case), sides),
+    }
 
 
-def _panels(name: str, run: Run, loop: ClosedLoop) -> Drawing:
-    case: ExampleRun = run.parameters
+def _sea_words(parameters: ParameterSet) -> dict[str, str]:
+    """What the seas are called; the JONSWAP sea by its wave case, if it is one of the paper's."""
+    period = parameters.sea.peak_period
+    known = [name for name, case in wave_cases().items() if case.peak_period == period]
+    return {
+        "jonswap": f"JONSWAP sea {(known or [f'of {period:g} s'])[0]}",
+        "measured": "measured sea, NDBC 41010",
+    }
+
+
+def _panels(sea: str, controller: str, run: Run, loop: ClosedLoop) -> Drawing:
+    case: LoopRun = run.parameters
     figure, axes = plt.subplots(4, 1, sharex=True, figsize=(7.0, 7.6))
     moments = key_moments(loop.time, loop.wave_torque)
     for one in axes:
@@ -57,20 +72,21 @@ def _panels(name: str, run: Run, loop: ClosedLoop) -> Drawing:
     failed = mark_failures(axes[3], loop)
     figure.align_ylabels(axes)
     height = case.parameters.sea.significant_height
-    target = "({:.1f}, {:.1f}) m".format(*case.target)
+    target = "({:.1f}, {:.1f}) m".format(*case.path[-1])
     return Drawing(
         figure,
         caption=(
-            f"The example case under NMPC in the {SEA_NAMES[name]}, significant height "
+            f"The example case under {look(controller).label} in the "
+            f"{_sea_words(case.parameters)[sea]}, significant height "
             f"{height:.1f} m, tip held at {target}: (a) elevation above the base, (b) tips of "
-            "the three segments relative to the base, (c) actuation torques, (d) wave torques. "
+            "the segments relative to the base, (c) actuation torques, (d) wave torques. "
             "Shaded: the norm of the wave torques is above its 90 % quantile over the window."
             + failed
         ),
         alt=(
-            "Four stacked time series over 60 s. The elevation swings over metres; the tip of "
-            "the third segment stays level after the start while the first two move; actuation "
-            "torques mirror the wave torques, most clearly in the shaded bands."
+            f"Four stacked time series over {loop.time[-1]:.0f} s. The elevation swings over "
+            "metres; the tip of the last segment stays level after the start while the others "
+            "move; actuation torques mirror the wave torques, most clearly in the shaded bands."
         ),
     )
 
@@ -112,16 +128,8 @@ def _tips(axes: Axes, loop: ClosedLoop, base: np.ndarray) -> None:
             series = relative[:, segment, axis]
             label = f"${letter}_{segment + 1}$"
             axes.plot(loop.time, series, linestyle=dash, color=colour, label=label)
-    _legend_above(axes)
+    legend_above(axes, handlelength=2.4)
     axes.set_title("(b) tips")
-
-
-def _legend_above(axes: Axes) -> None:
-    """Put the legend on the line of the title, where it hides no data."""
-    count = len(axes.get_lines())
-    axes.legend(
-        ncols=count, loc="lower right", bbox_to_anchor=(1.0, 0.97), borderpad=0, handlelength=2.4
-    )
 
 
 def _by_segment(axes: Axes, loop: ClosedLoop, series: np.ndarray, symbol: str) -> None:
@@ -133,49 +141,42 @@ def _by_segment(axes: Axes, loop: ClosedLoop, series: np.ndarray, symbol: str) -
             linestyle=DASHES[segment % 3],
             label=f"${symbol}_{segment + 1}$",
         )
-    _legend_above(axes)
+    legend_above(axes, handlelength=2.4)
     axes.set_title("(c) actuation" if symbol == r"\tau" else "(d) waves")
 
 
-def _errors(loops: dict[str, ClosedLoop]) -> Drawing:
-    medians = {
-        name: 1000 * float(np.median(loop.error[loop.time >= TRANSIENT]))
-        for name, loop in loops.items()
-    }
+def _errors(words: dict[str, str], loops: dict[str, ClosedLoop]) -> Drawing:
     failed: list[str] = []
     figure, axes = plt.subplots(len(SEAS), 1, sharex=True, figsize=(7.0, 4.4))
     for one, sea in zip(axes, SEAS, strict=True):
-        baseline, nmpc = loops[f"{sea}-baseline"], loops[f"{sea}-nmpc"]
-        one.semilogy(baseline.time, baseline.error, color=ORANGE, linestyle=DASHES[1])
-        one.semilogy(nmpc.time, nmpc.error, color=INK, linestyle="-")
-        failed.append(mark_failures(one, nmpc))
+        for name in controllers():
+            loop, shown = loops[f"{sea}-{name}"], look(name)
+            one.semilogy(
+                loop.time, loop.error, color=shown.colour, linestyle=shown.dash, label=shown.label
+            )
+            failed.append(mark_failures(one, loop))
         one.axvline(TRANSIENT, color=GREY, linewidth=0.8, linestyle="-")
-        one.set_ylabel("tip error, m")
-        one.set_title(SEA_NAMES[sea])
-        one.set_ylim(1e-5, 1.5)
-    axes[0].legend(["feed-forward + PD", "NMPC"], ncols=2, loc="upper right")
+        one.set(ylabel="tip error, m", title=words[sea], ylim=(1e-5, 1.5))
+    axes[0].legend(ncols=len(controllers()), loc="upper right")
     axes[-1].set_xlabel("time, s")
-    axes[-1].set_xlim(0, 60)
+    axes[-1].set_xlim(0, loop.time[-1])
+    medians = ", ".join(
+        f"{look(name).label} {1000 * _settled_median(loops[f'{SEAS[0]}-{name}']):.3g} mm"
+        for name in controllers()
+    )
     return Drawing(
         figure,
         caption=(
-            "Distance of the tip from its target under both controllers in both seas, on a "
+            "Distance of the tip from its target under all controllers in both seas, on a "
             "logarithmic scale. Left of the vertical line is the start-up transient from the "
             "straight arm, which the paper's RMSE includes in our reading." + "".join(failed)
         ),
         alt=(
-            "Two panels, one per sea. After the first seconds the NMPC's error stays far below "
-            "that of feed-forward plus PD. Medians after the transient in the JONSWAP sea: "
-            f"{medians['jonswap-nmpc']:.1f} mm against {medians['jonswap-baseline']:.0f} mm."
+            "Two panels, one per sea, with a line for each controller. Medians of the error after "
+            f"the transient in the JONSWAP sea: {medians}."
         ),
     )
 
 
-def _headline(runs: dict[str, Run], loops: dict[str, ClosedLoop]) -> Drawing:
-    case: ExampleRun = runs["jonswap-nmpc"].parameters
-    arm = Arm(case.parameters.arm, case.parameters.fluid)
-    sides = (
-        Side("feed-forward + PD", ORANGE, loops["jonswap-baseline"]),
-        Side("NMPC with preview of the waves", BLUE, loops["jonswap-nmpc"]),
-    )
-    return headline(arm, sea_of(case), sides)
+def _settled_median(loop: ClosedLoop) -> float:
+    return float(np.median(loop.error[loop.time >= TRANSIENT]))

@@ -1,4 +1,4 @@
-"""The title picture: the same arm in the same sea under both controllers, still and moving."""
+"""The title picture: the same arm in the same sea under each controller, still and moving."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from matplotlib.quiver import Quiver
 from numpy.typing import NDArray
 
 from softwave_min.arm import Arm
+from softwave_min.figures.marks import Look, look
 from softwave_min.figures.style import BLUE, GREY, INK, Drawing
 from softwave_min.simulation import ClosedLoop, root_mean_square_error
 from softwave_min.waves import Sea
@@ -40,11 +41,15 @@ REPRODUCIBLE = "-pix_fmt yuv420p -threads 1 -fflags +bitexact -flags:v +bitexact
 
 @dataclass(frozen=True)
 class Side:
-    """One half of the picture."""
+    """What the picture shows of one controller."""
 
-    name: str
-    colour: str
+    controller: str
     loop: ClosedLoop
+
+    @property
+    def look(self) -> Look:
+        """How the controller is drawn and called."""
+        return look(self.controller)
 
     @property
     def period(self) -> float:
@@ -52,7 +57,7 @@ class Side:
         return float(self.loop.time[1])
 
 
-def headline(arm: Arm, sea: Sea, sides: tuple[Side, Side]) -> Drawing:
+def headline(arm: Arm, sea: Sea, sides: tuple[Side, ...]) -> Drawing:
     """Draw the still and encode the film."""
     first, last = (round(instant / sides[0].period) for instant in WINDOW)
     # Of all instants at once, which costs hardly more than of one.
@@ -64,20 +69,21 @@ def headline(arm: Arm, sea: Sea, sides: tuple[Side, Side]) -> Drawing:
         film.frame(first + step, pair) for step, pair in enumerate(zip(*bodies, strict=True))
     )
     plt.close(film.figure)
-    errors = [100 * root_mean_square_error(side.loop.error[first:last]) for side in sides]
+    names = " and ".join(side.look.label for side in sides)
+    errors = ", ".join(
+        f"{100 * root_mean_square_error(side.loop.error[first:last]):.1f} cm ({side.look.label})"
+        for side in sides
+    )
     return Drawing(
         still.figure,
         caption=(
-            "The same arm in the same sea, its tip to be held at the cross: by feed-forward + PD "
-            "(left) and by NMPC that previews the waves (right). Above, the elevation over the "
-            f"base. Over the {last - first} control periods shown the tip is off by "
-            f"{errors[0]:.1f} cm (root mean square) on the left, and {errors[1]:.1f} cm on the "
-            "right."
+            "The same arm in the same sea, its tip to be held at the cross, from left to right by "
+            f"{names}. The NMPC previews the waves. Above, the elevation over the base. Over the "
+            f"{last - first} control periods shown the tip is off (root mean square) by {errors}."
         ),
         alt=(
-            "Two side views of a three-segment arm under waves. On the left the postures fan "
-            "out and the tip wanders over decimetres around the target cross; on the right the "
-            "tip stays on the cross while the body bends."
+            f"{len(sides)} side views of the arm under waves, postures laid over each other, with "
+            f"the path of the tip about the target's cross. Off by: {errors}."
         ),
         media=media,
     )
@@ -86,12 +92,12 @@ def headline(arm: Arm, sea: Sea, sides: tuple[Side, Side]) -> Drawing:
 class _Stage:
     """The axes of the picture, and how the arms are put on them."""
 
-    def __init__(self, arm: Arm, sea: Sea, sides: tuple[Side, Side]) -> None:
+    def __init__(self, arm: Arm, sea: Sea, sides: tuple[Side, ...]) -> None:
         self._base, self._sea, self._sides = arm.parameters.base_position, sea, sides
         self.figure: Figure = plt.figure(figsize=(8.0, 4.96), dpi=100)
-        grid = self.figure.add_gridspec(2, 2, height_ratios=(1.0, 3.2))
+        grid = self.figure.add_gridspec(2, len(sides), height_ratios=(1.0, 3.2))
         self._wave = self.figure.add_subplot(grid[0, :])
-        self._views = [self.figure.add_subplot(grid[1, column]) for column in (0, 1)]
+        self._views = [self.figure.add_subplot(grid[1, column]) for column in range(len(sides))]
         times = np.linspace(*WINDOW, 600)
         self._wave.plot(times, sea.elevation(0.0, times), color=BLUE, linestyle="-")
         self._wave.set(xlim=WINDOW, xlabel="time, s", ylabel="elevation, m")
@@ -108,7 +114,13 @@ class _Stage:
         """Lay the postures of every second over each other, with the path of the tip."""
         for view, side, every in zip(self._views, self._sides, bodies, strict=True):
             for body in every[:: round(1.0 / side.period)]:
-                view.plot(*body.T, color=side.colour, linestyle="-", linewidth=2.2, alpha=0.22)
+                view.plot(
+                    *body.T,
+                    color=side.look.face,
+                    linestyle="-",
+                    linewidth=2.2,
+                    alpha=0.22,
+                )
             tips = side.loop.tips[first : first + len(every), -1]
             view.plot(*tips.T, color=INK, linestyle="-", linewidth=0.7)
 
@@ -141,13 +153,24 @@ class _Stage:
 
     def _furnish(self, view: Axes, side: Side) -> None:
         view.set_aspect("equal")
-        view.set(xlim=VIEW[:2], ylim=VIEW[2:], xlabel="x, m", ylabel="z, m", title=side.name)
+        view.set(
+            xlim=VIEW[:2],
+            ylim=VIEW[2:],
+            xlabel="x, m",
+            ylabel="z, m",
+            title=side.look.label,
+        )
         view.plot(*self._base, marker="s", color=INK, markersize=7)
         view.plot(*side.loop.target[-1], marker="x", color=INK, markersize=11, zorder=5)
 
     def _movable(self, view: Axes, side: Side) -> tuple[Quiver, Line2D, Line2D]:
         (body,) = view.plot(
-            [], [], color=side.colour, linestyle="-", linewidth=7, solid_capstyle="round"
+            [],
+            [],
+            color=side.look.face,
+            linestyle="-",
+            linewidth=7,
+            solid_capstyle="round",
         )
         (trail,) = view.plot([], [], color=INK, linestyle="-", linewidth=0.9)
         x, z = np.meshgrid(np.linspace(-0.3, 1.0, 5), np.linspace(-4.5, -3.3, 5))

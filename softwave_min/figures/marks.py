@@ -1,16 +1,52 @@
-"""What several figures share: interval bars, legends, and words on failed solves and seas."""
+"""What several figures share: the controllers' looks, interval bars, legends, words on seas."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import cycle
 from typing import Any
 
 import pandas as pd
 from matplotlib.axes import Axes
 from numpy.typing import ArrayLike
 
-from softwave_min.figures.style import INK, SKY
+from softwave_min.experiments.closed_loop import controllers
+from softwave_min.figures.style import BLUE, DASHES, INK, ORANGE, SKY
+from softwave_min.paper.numbers import CONTROLLER
 from softwave_min.runs.statistics import INTERVAL
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a controller is drawn and called."""
+
+    label: str
+    colour: str
+    """Of a line."""
+    dash: Any
+    face: str
+    """Of an area or a body."""
+
+
+LOOKS = {
+    "baseline": Look("feed-forward + PD", ORANGE, DASHES[1], ORANGE),
+    "nmpc": Look("NMPC", INK, DASHES[0], BLUE),
+}
+FURTHER = ("#009e73", "#cc79a7", SKY, "#e69f00")
+"""Colours of the controllers that have no look of their own, from Okabe and Ito's as well."""
+
+
+def look(name: str) -> Look:
+    """How a controller is drawn; one that is not in ``LOOKS`` goes by its name."""
+    new = (one for one in controllers() if one not in LOOKS)
+    spare = {one: Look(one, hue, (0, (3, 1, 1, 1)), hue) for one, hue in zip(new, cycle(FURTHER))}
+    return {**spare, **LOOKS}[name]
+
+
+def stem_for(stem: str, controller: str) -> str:
+    """Name of a figure of one controller: the paper's has the stem alone."""
+    return stem if controller == CONTROLLER else f"{stem}_{controller}"
 
 
 def intervals(

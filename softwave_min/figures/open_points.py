@@ -13,9 +13,9 @@ from matplotlib.ticker import FixedLocator, FuncFormatter
 from numpy.typing import NDArray
 
 from softwave_min.figures.style import GREY, INK, ORANGE, SKY, Drawing
+from softwave_min.paper.tolerance import POINTS, SHARE
 from softwave_min.parameters import ParameterSet
 from softwave_min.runs.store import Store
-from softwave_min.studies.open_points import TOLERANCE_POINTS, TOLERANCE_SHARE
 
 APART = 5.0
 """Ratio of neighbouring ticks at least."""
@@ -47,11 +47,11 @@ def draw(store: Store, parameters: ParameterSet) -> dict[str, Drawing]:  # noqa:
     seas = int(scatter["seas"].max())
     caption = (
         "What other readings of the paper do to its headline numbers: for each switch of the "
-        "register the range of the change over its values and the three wave cases, with a "
+        "open points the range of the change over its values and the three wave cases, with a "
         "point at the largest. The band is what another sea does, half the 90 % interval of the "
         f"nominal numbers over {seas} seas; within it the point is open. The dashed lines are "
-        f"how far a number may be off and count as reproduced, {100 * TOLERANCE_SHARE:g} % of "
-        f"the paper's or {TOLERANCE_POINTS:g} points, or the band where that is wider; beyond "
+        f"how far a number may be off and count as reproduced, {100 * SHARE:g} % of "
+        f"the paper's or {POINTS:g} points, or the band where that is wider; beyond "
         "them the point is dark. Ranked by the largest change as a multiple of that distance. "
         "The scale is linear within the band and logarithmic beyond."
     )

@@ -16,7 +16,7 @@ DARK = 0.6
 
 
 def factor_label(factor: str) -> str:
-    """Name of an open value or of the random sea, for an axis."""
+    """Name of an open parameter or of the random sea, for an axis."""
     section, _, name = factor.rpartition(".")
     text = name.replace("_", " ")
     return f"{section}: {text}" if section else text
@@ -37,7 +37,7 @@ def by_kind(numbers: Iterable[str]) -> list[str]:
 def screening_matrix(table: pd.DataFrame) -> Figure:
     """Mean absolute elementary effect of each factor on each number, relative to the largest.
 
-    Factors by their mean over the numbers; the sea, which is no open value, at the bottom.
+    Factors by their mean over the numbers; the sea, which is no open parameter, at the bottom.
     """
     means = importance(table)
     factors = [*means.drop(SEA).index, SEA]

@@ -16,7 +16,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from softwave_min.arm import Arm
-from softwave_min.experiments.setpoints import CASES, CELL, EXPERIMENT, REACHED
+from softwave_min.experiments.failures import INTACT, Case, failure_cases, ordinal
+from softwave_min.experiments.resting_arm import CELL, REACHED
+from softwave_min.experiments.setpoints import EXPERIMENT
+from softwave_min.figures.marks import failure_sentence
 from softwave_min.figures.style import BLUE, GREY, INK, ORANGE, SKY, Drawing
 from softwave_min.paper.cases import poses
 from softwave_min.parameters import ParameterSet
@@ -24,8 +27,6 @@ from softwave_min.runs.store import Store
 
 Floats = NDArray[np.float64]
 
-PANELS = ("intact", "mid_passive", "tip_passive")
-"""The paper's panels (a), (b), (c)."""
 FACES = (GREY, ORANGE, SKY)
 """Bodies at P1, P2, P3 and again at P4, P5, P6."""
 SHADE = "#ececec"
@@ -45,11 +46,15 @@ def draw(store: Store, parameters: ParameterSet) -> dict[str, Drawing]:
     table = store.read_table("setpoints").set_index(["case", "pose"])
     areas = store.read_table("workspace").set_index("case")
     arm = Arm(parameters.arm, parameters.fluid)
-    maps = {name: arrays[f"reach-{name}"]["workspace"] for name in CASES}
-    postures = {name: arrays[f"rest-{name}"]["q"] for name in PANELS}
+    cases = failure_cases(parameters)
+    maps = {name: arrays[f"reach-{name}"]["workspace"] for name in cases}
+    # The paper's panels: no failure, then each segment passive.
+    panels = {name: case for name, case in cases.items() if case.manner == "passive"}
+    postures = {name: arrays[f"rest-{name}"]["q"] for name in panels}
+    bound = parameters.nmpc.angle_bound
     return {
-        "setpoints": _postures(arm, maps, postures, table, parameters.nmpc.angle_bound),
-        "workspace": _workspaces(arm, maps, areas, parameters.nmpc.angle_bound),
+        "setpoints": _postures(arm, panels, maps, postures, table, bound),
+        "workspace": _workspaces(arm, cases, maps, areas, bound),
     }
 
 
@@ -67,50 +72,53 @@ def outlines(arm: Arm, q: Floats) -> Iterator[Floats]:
 
 def _postures(
     arm: Arm,
+    panels: dict[str, Case],
     maps: dict[str, NDArray[np.bool_]],
     postures: dict[str, Floats],
     table: pd.DataFrame,
     bound: float,
 ) -> Drawing:
-    figure, axes = plt.subplots(1, 3, figsize=(9.2, 3.9), sharex=True, sharey=True)
-    for one, letter, name in zip(axes, "abc", PANELS, strict=True):
+    figure, axes = plt.subplots(1, len(panels), figsize=(9.2, 3.9), sharex=True, sharey=True)
+    titles = {
+        name: f"({letter}) {case.words}"
+        for letter, (name, case) in zip("abc", panels.items(), strict=False)
+    }
+    for one, (name, case) in zip(axes, panels.items(), strict=True):
         _shaded(one, arm, maps[name])
         left = table["distance_left"].xs(name)
         for index, (pose, target) in enumerate(poses().items()):
-            _body(one, arm, postures[name][index], FACES[index % 3], CASES[name].segment)
+            _body(one, arm, postures[name][index], FACES[index % 3], case.segment)
             _mark(one, pose, target, float(left[pose]))
         missed = _shortfalls(left)
         one.text(0.98, 0.02, missed, transform=one.transAxes, ha="right", fontsize=8)
         one.plot(*arm.parameters.base_position, "s", color=INK, markersize=7, zorder=6)
-        one.set(title=f"({letter}) {CASES[name].words}", aspect="equal", xlabel="x, m")
+        one.set(title=titles[name], aspect="equal", xlabel="x, m")
         one.grid(visible=False)
     x, z = arm.parameters.base_position
     axes[0].set(ylabel="z, m", xlim=(x - 0.12, x + 0.9), ylim=(z - 0.82, z + 0.62))
     _legend(figure)
-    failed = int(table[["solves_failed", "fallbacks"]].to_numpy().sum())
     return Drawing(
         figure,
         caption=(
             "Postures in which the NMPC ends in still water, from the straight arm, for the six "
-            "poses: (a) with all segments, (b) with the second, (c) with the third segment "
-            "passive (hatched). Grey: where the tip can be at rest with every actuated angle "
+            f"poses: {', '.join(titles.values())}; what is passive is hatched. Grey: "
+            "where the tip can be at rest with every actuated angle "
             f"within {bound:.2f} rad. A cross is a target within reach; a ring is one out of "
-            "reach, with the distance that is left by the best posture. "
-            f"Solves without convergence or with a fallback: {failed}."
+            "reach, with the distance that is left by the best posture. " + failure_sentence(table)
         ),
         alt=(
-            "Three panels with six postures of a thick arm each, three bending up from the base "
-            f"and three down. {_in_words(table)}"
+            f"{len(panels)} panels with six postures of a thick arm each, three bending up from "
+            f"the base and three down. {_in_words(table, panels)}"
         ),
     )
 
 
-def _in_words(table: pd.DataFrame) -> str:
+def _in_words(table: pd.DataFrame, panels: dict[str, Case]) -> str:
     parts = []
-    for name in PANELS:
+    for name, case in panels.items():
         missed = [pose for pose in poses() if not table.loc[(name, pose), "reachable"]]
         parts.append(
-            f"With {CASES[name].words}, "
+            f"With {case.words}, "
             + (f"{', '.join(missed)} are out of reach." if missed else "all targets are reached.")
         )
     return " ".join(parts)
@@ -171,22 +179,29 @@ def _legend(figure: Figure) -> None:
 
 
 def _workspaces(
-    arm: Arm, maps: dict[str, NDArray[np.bool_]], areas: pd.DataFrame, bound: float
+    arm: Arm,
+    cases: dict[str, Case],
+    maps: dict[str, NDArray[np.bool_]],
+    areas: pd.DataFrame,
+    bound: float,
 ) -> Drawing:
-    figure, axes = plt.subplots(1, 2, figsize=(7.6, 4.6), sharex=True, sharey=True)
-    for one, letter, segment in zip(axes, "ab", ("mid", "tip"), strict=True):
-        names = ("intact", f"{segment}_passive", f"{segment}_locked")
+    failed = sorted({case.segment for case in cases.values()} - {0})
+    figure, axes = plt.subplots(
+        1, len(failed), figsize=(7.6, 4.6), sharex=True, sharey=True, squeeze=False
+    )
+    for one, letter, segment in zip(axes[0], "ab", failed, strict=False):
+        shown = {name: case for name, case in cases.items() if case.segment in {0, segment}}
         handles = []
-        for name, (colour, dash) in zip(names, OUTLINES, strict=True):
+        for (name, case), (colour, dash) in zip(shown.items(), OUTLINES, strict=True):
             drawn = maps[name]
-            if name == "intact":
+            if name == INTACT:
                 _shaded(one, arm, drawn)
             one.contour(
                 *_middles(arm, drawn), _smooth(drawn), levels=[0.5], colors=[colour],
                 linestyles=[dash], linewidths=1.4,
             )  # fmt: skip
             size, error = areas.loc[name, ["area", "resolution"]]
-            label = f"{CASES[name].words}: {size:.2f} ± {error:.2f} m²"
+            label = f"{case.words}: {size:.2f} ± {error:.2f} m²"
             handles.append(Line2D([], [], color=colour, linestyle=dash, label=label))
         for pose, target in poses().items():
             one.plot(*target, "x", color=BLUE, markersize=6, markeredgewidth=1.6, zorder=5)
@@ -195,21 +210,26 @@ def _workspaces(
         one.set(title=f"({letter})", aspect="equal", xlabel="x, m")
         one.grid(visible=False)
         one.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.14), fontsize=8)
-    axes[0].set_ylabel("z, m")
-    shares = {name: f"{100 * share:.0f} %" for name, share in areas["share"].items()}
+    axes[0, 0].set_ylabel("z, m")
+    panels = ", ".join(
+        f"({letter}) with the {ordinal(segment)} segment failed"
+        for letter, segment in zip("ab", failed, strict=False)
+    )
+    shares = ", ".join(
+        f"{case.words}: {100 * float(areas['share'][name]):.0f} %"
+        for name, case in cases.items()
+        if name != INTACT
+    )
     return Drawing(
         figure,
         caption=(
             "Where the tip can be at rest in still water with every actuated angle within "
-            f"{bound:.2f} rad: (a) with the second, (b) with the third segment failed, passive "
-            "(it hangs by its weight and stiffness) or locked straight, against the intact arm "
-            f"(grey). Crosses: the six poses. Areas by counting cells of {100 * CELL:.0f} cm; the "
-            "uncertainty is half of the cells on the rim."
+            f"{bound:.2f} rad: {panels}, passive (it hangs by its weight and stiffness) or locked "
+            "straight, against the intact arm (grey). Crosses: the six poses. Areas by counting "
+            f"cells of {100 * CELL:.0f} cm; the uncertainty is half of the cells on the rim."
         ),
         alt=(
-            "Two maps of the plane about the base with outlines of workspaces. Without the second "
-            f"segment the area is {shares['mid_passive']} of the intact one, without the third "
-            f"{shares['tip_passive']}; locked, they leave {shares['mid_locked']} and "
-            f"{shares['tip_locked']}."
+            "Maps of the plane about the base with outlines of workspaces. Shares of the intact "
+            f"arm's area: {shares}."
         ),
     )

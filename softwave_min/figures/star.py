@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import cycle
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -13,9 +14,12 @@ from numpy.typing import NDArray
 
 from softwave_min.arm import Arm
 from softwave_min.experiments.closed_loop import TRANSIENT
-from softwave_min.experiments.star import CONTROLLERS, EXPERIMENT, STILL, choice
+from softwave_min.experiments.star import EXPERIMENT, choice
+from softwave_min.experiments.star_loops import STILL
 from softwave_min.experiments.star_path import star_vertices
+from softwave_min.figures.marks import failure_sentence, legend_above, look, seas_sentence
 from softwave_min.figures.style import BLUE, DASHES, GREY, INK, ORANGE, SKY, Drawing
+from softwave_min.paper.numbers import CONTROLLER
 from softwave_min.parameters import ParameterSet
 from softwave_min.runs.store import Store
 
@@ -23,7 +27,6 @@ RunData = Mapping[str, NDArray[Any]]
 
 SHOWN_EVERY = 12.0
 """Time between two postures of the arm, in s."""
-NAMES = {"baseline": "feed-forward + PD", "nmpc": "NMPC"}
 
 
 def draw(store: Store, parameters: ParameterSet) -> dict[str, Drawing]:
@@ -54,7 +57,7 @@ def _trajectory(with_waves: RunData, calm: RunData, parameters: ParameterSet) ->
     _plane(plane, with_waves, calm, Arm(parameters.arm, parameters.fluid), base)
     chosen = choice()
     median = {
-        name: 1000 * float(np.median(_error(data, "nmpc")[with_waves["time"] >= TRANSIENT]))
+        name: 1000 * float(np.median(_error(data)[with_waves["time"] >= TRANSIENT]))
         for name, data in (("waves", with_waves), ("calm", calm))
     }
     return Drawing(
@@ -90,20 +93,12 @@ def _coordinate(axes: Axes, with_waves: RunData, calm: RunData, axis: int, base:
         label = f"${letter}_{subscript}$"
         tip = data["nmpc_tip"][:, axis] - base
         axes.plot(time, tip, color=colour, linestyle=dash, label=label)
-    _legend_above(axes)
+    legend_above(axes, handlelength=1.8, handletextpad=0.4, columnspacing=0.9)
     axes.set_xlim(0, time[-1])
 
 
-def _legend_above(axes: Axes) -> None:
-    """Put the legend on the line of the title, where it hides no data."""
-    axes.legend(
-        ncols=3, loc="lower right", bbox_to_anchor=(1.0, 0.97), borderpad=0,
-        handlelength=1.8, handletextpad=0.4, columnspacing=0.9,
-    )  # fmt: skip
-
-
-def _error(data: RunData, controller: str) -> NDArray[np.float64]:
-    offset = data[f"{controller}_tip"] - data[f"{controller}_target"]
+def _error(data: RunData) -> NDArray[np.float64]:
+    offset = data["nmpc_tip"] - data["nmpc_target"]
     distance: NDArray[np.float64] = np.hypot(offset[:, 0], offset[:, 1])
     return distance
 
@@ -113,12 +108,12 @@ def _distances(axes: Axes, with_waves: RunData, calm: RunData) -> int:
     series = ((with_waves, r"$e_\tau$", INK, "-"), (calm, "$e_0$", ORANGE, DASHES[2]))
     failed = 0
     for data, label, colour, dash in series:
-        error = _error(data, "nmpc")
+        error = _error(data)
         axes.semilogy(time, error, color=colour, linestyle=dash, label=label)
         at = np.flatnonzero(data["nmpc_status"] > 0)
         axes.plot(time[at], error[at], linestyle="none", marker="x", color=colour)
         failed += len(at)
-    _legend_above(axes)
+    legend_above(axes, handlelength=1.8, handletextpad=0.4, columnspacing=0.9)
     axes.set_ylim(bottom=1e-5)
     axes.set(xlabel="time, s", ylabel="distance, m")
     axes.set_title("(c)")
@@ -154,29 +149,26 @@ def _errors(table: pd.DataFrame, headline: pd.DataFrame) -> Drawing:
     """RMSE of every sea, whole run and settled, beside the paper's."""
     chosen = choice()
     waves = list(chosen.rmse)
-    seas = int(headline.seas.max())
+    names = list(dict.fromkeys(table["controller"]))
     figure, panels = plt.subplots(1, 2, sharey=True, figsize=(7.0, 3.4))
-    marks = {"baseline": ("s", ORANGE), "nmpc": ("o", INK)}
     for axes, measure in zip(panels, ("rmse", "rmse_settled"), strict=True):
-        for place, controller in enumerate(CONTROLLERS):
-            marker, colour = marks[controller]
-            x = np.arange(len(waves)) + 0.24 * (place - 0.5)
-            rows = headline[(headline.controller == controller) & (headline.measure == measure)]
+        for place, (name, marker) in enumerate(zip(names, cycle("soDv^"), strict=False)):
+            label, colour = look(name).label, look(name).colour
+            x = np.arange(len(waves)) + 0.24 * (place - (len(names) - 1) / 2)
+            rows = headline[(headline.controller == name) & (headline.measure == measure)]
             rows = rows.set_index("wave").loc[waves]
             axes.vlines(x, rows.low, rows.high, color=colour, linewidth=2.2)
-            axes.plot(
-                x, rows["median"], marker, color=colour, linestyle="none", label=NAMES[controller]
-            )
-            calm = table[(table.wave == STILL) & (table.controller == controller)][measure].iloc[0]
+            axes.plot(x, rows["median"], marker, color=colour, linestyle="none", label=label)
+            calm = table[(table.wave == STILL) & (table.controller == name)][measure].iloc[0]
             axes.axhline(
                 calm, color=colour, linestyle=DASHES[2], linewidth=1.0,
-                label=f"{NAMES[controller]}, still water",
+                label=f"{label}, still water",
             )  # fmt: skip
         if measure == "rmse":
             axes.hlines(
                 list(chosen.rmse.values()), np.arange(len(waves)) - 0.3,
                 np.arange(len(waves)) + 0.3, color=BLUE, linewidth=2.0, linestyle=DASHES[1],
-                label="paper, NMPC",
+                label=f"paper, {look(CONTROLLER).label}",
             )  # fmt: skip
         axes.set_yscale("log")
         axes.set_xlim(-0.5, len(waves) - 0.5)
@@ -186,34 +178,27 @@ def _errors(table: pd.DataFrame, headline: pd.DataFrame) -> Drawing:
     panels[1].set_title(f"(b) after {TRANSIENT:.0f} s")
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3)
-    failed = int(table.solves_failed.sum())
+    words = [_in_words(headline, measure, names, waves) for measure in ("rmse", "rmse_settled")]
     return Drawing(
         figure,
         caption=(
             f"Error on the star in the three seas, significant height "
-            f"{chosen.significant_height:.0f} m: "
-            + (
-                "one random sea"
-                if seas == 1
-                else f"median over {seas} random seas with the 5 % to 95 % range"
-            )
-            + ", and still water (dotted). (a) Over the whole run, beside the paper's numbers; "
-            f"(b) without the first {TRANSIENT:.0f} s. "
-            + (f"{failed} solves did not converge." if failed else "No solve failed.")
+            f"{chosen.significant_height:.0f} m, and still water (dotted). (a) Over the whole "
+            f"run, beside the paper's numbers; (b) without the first {TRANSIENT:.0f} s. "
+            f"{seas_sentence(int(headline.seas.max()))} {failure_sentence(table)}"
         ),
         alt=(
             "Two panels with the seas W1, W2 and W3 on a logarithmic axis, each with a mark for "
-            "either controller. Medians in metres, whole run: "
-            f"{_in_words(headline, 'rmse', waves)}; after {TRANSIENT:.0f} s: "
-            f"{_in_words(headline, 'rmse_settled', waves)}."
+            f"every controller. Medians in metres, whole run: {words[0]}; after "
+            f"{TRANSIENT:.0f} s: {words[1]}."
         ),
     )
 
 
-def _in_words(headline: pd.DataFrame, measure: str, waves: list[str]) -> str:
-    """Medians of both controllers, wave by wave."""
+def _in_words(headline: pd.DataFrame, measure: str, names: list[str], waves: list[str]) -> str:
+    """Medians of the controllers, wave by wave."""
     medians = headline[headline.measure == measure].set_index(["controller", "wave"])["median"]
     return ", ".join(
-        f"{NAMES[controller]} " + " / ".join(f"{medians[controller, wave]:.3f}" for wave in waves)
-        for controller in CONTROLLERS
+        f"{look(name).label} " + " / ".join(f"{medians[name, wave]:.3f}" for wave in waves)
+        for name in names
     )

@@ -6,6 +6,7 @@ import matplotlib.pyplot as plt
 import pandas as pd
 
 from softwave_min.experiments.star_drag import LOADS
+from softwave_min.figures.marks import failure_sentence
 from softwave_min.figures.style import INK, SKY, Drawing
 from softwave_min.parameters import ParameterSet
 from softwave_min.runs.store import Store
@@ -33,12 +34,11 @@ def draw(store: Store, parameters: ParameterSet) -> dict[str, Drawing]:  # noqa:
     figure.legend(
         *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(LOADS)
     )
-    failed = int(table["solves_failed"].sum())
     caption = (
         "Error on the nominal star under NMPC with the textbook's load, with its drag and friction "
         "and without: (a) over the whole run, (b) after the start. If drag were why the error does "
         "not depend on the period, it should without. "
-        f"{failed} of the solves did not converge; their runs count."
+        f"{failure_sentence(table)}"
     )
     alt = (
         "Two panels of bars, three seas with two bars each. The range over the seas, as a share of "

@@ -11,8 +11,8 @@ import pandas as pd
 from softwave_min.experiments.closed_loop import TRANSIENT
 from softwave_min.experiments.star import choice
 from softwave_min.experiments.star_path import StarParameters
-from softwave_min.experiments.star_sweep import TOLERANCE
 from softwave_min.figures.style import BLUE, INK, Drawing
+from softwave_min.paper.tolerance import SHARE
 from softwave_min.parameters import ParameterSet
 from softwave_min.runs.store import Store
 
@@ -37,9 +37,7 @@ def _sweep(table: pd.DataFrame) -> Drawing:
     stars = table.groupby(keys, sort=False)
     figure, axes = plt.subplots(figsize=(7.0, 6.4))
     quoted = np.array(list(chosen.rmse.values()))
-    axes.axvspan(
-        quoted.min() * (1 - TOLERANCE), quoted.max() * (1 + TOLERANCE), color="#ececec", zorder=0
-    )
+    axes.axvspan(quoted.min() * (1 - SHARE), quoted.max() * (1 + SHARE), color="#ececec", zorder=0)
     axes.axvspan(quoted.min(), quoted.max(), color="#cfcfcf", zorder=0)
     labels = []
     for row, (key, group) in enumerate(stars):
@@ -69,8 +67,8 @@ def _sweep(table: pd.DataFrame) -> Drawing:
             "followed, laps in a run, whether the NMPC is told the coming path (else the next "
             "point is held over the horizon), outer radius; in brackets the solves that did not "
             f"converge. Marks: measures of the error in {chosen.case}. Dark band: the paper's "
-            f"numbers; light band: {100 * TOLERANCE:.0f} % beyond them. Large filled marks: within "
-            f"{100 * TOLERANCE:.0f} % of the paper's number in each of the three seas "
+            f"numbers; light band: {100 * SHARE:.0f} % beyond them. Large filled marks: within "
+            f"{100 * SHARE:.0f} % of the paper's number in each of the three seas "
             f"({agreeing} of all {len(table)} combinations of star and measure)."
         ),
         alt=(

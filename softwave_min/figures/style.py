@@ -7,6 +7,7 @@ apart in grey and by colour-blind readers; the colours are Okabe and Ito's.
 from __future__ import annotations
 
 import io
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -64,8 +65,12 @@ class Drawing:
 
 
 def apply() -> None:
-    """Make the style the default of this process."""
+    """Make the style the default of this process, and of what it starts.
+
+    A figure that somebody else writes as SVG, such as a notebook, has no day in it either.
+    """
     mpl.rcParams.update(SETTINGS)
+    os.environ["SOURCE_DATE_EPOCH"] = "0"
 
 
 def svg(drawing: Drawing) -> bytes:

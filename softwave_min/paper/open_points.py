@@ -1,6 +1,6 @@
-"""The register of what the paper leaves open: how it can be read, and how it is read here.
+"""What the paper leaves open: how it can be read, and how it is read here.
 
-``data/paper/ambiguities.toml`` has one entry for each point. Where a parameter decides between
+``data/paper/open_points.toml`` has one entry for each point. Where a parameter decides between
 the readings the entry names it with the values that select the others, so that
 :meth:`Switch.alternatives` are the parameter sets with which the effect can be measured.
 """
@@ -118,7 +118,7 @@ def open_points(parameters: ParameterSet | None = None) -> tuple[OpenPoint, ...]
     ParameterError
         If the file is not valid, an id stands there twice, or a switch selects nothing.
     """
-    path = data_folder() / "paper" / "ambiguities.toml"
+    path = data_folder() / "paper" / "open_points.toml"
     found = validate(dict[str, tuple[OpenPoint, ...]], read_toml(path), source=path)["point"]
     twice = [name for name, count in Counter(one.id for one in found).items() if count > 1]
     if twice:

@@ -1,97 +1,55 @@
-"""Numbers taken from the tables in ``results/``, as a file says how.
+"""Numbers taken from the tables in ``results/`` by SQL.
 
-A query names a table, its rows and a column, and what is made of them: one number, with its
-90 % interval over random seas where there is one.
+A query names tables as ``experiment.stem`` and answers with one row: a number, or a number with
+the ends of its 90 % interval over random seas. DuckDB reads ``results/<experiment>/<stem>.csv``
+for it, and no file outside that folder. Beside DuckDB's own functions a query has
+
+- ``share(condition)``: of the rows, those in which the condition holds;
+- ``rank_correlation(x, y)``: Spearman's coefficient, where equal values share their mean rank;
+- ``over_seas(x)``: the median of a number taken in each sea, with its interval.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+import re
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, NamedTuple
 
-import numpy as np
-import pandas as pd
-from numpy.typing import NDArray
-from pydantic import ConfigDict, Strict, model_validator
-from pydantic.dataclasses import dataclass as validated
+from pydantic import AfterValidator
 
-from softwave_min.parameters import Real
-from softwave_min.runs.statistics import over_seas
-from softwave_min.runs.store import Store
+from softwave_min.data import note_read
+from softwave_min.runs.statistics import INTERVAL
 
-Floats = NDArray[np.float64]
-Entry = Annotated[bool, Strict()] | Annotated[int, Strict()] | Annotated[float, Strict()] | str
-"""Of a table or a parameter file; in this order, because True is no 1."""
-
-
-@validated(frozen=True, config=ConfigDict(extra="forbid"))
-class Query:
-    """How a number is taken from a table."""
-
-    table: str
-    """``experiment/stem``, below ``results/``."""
-    column: str
-    where: dict[str, Entry | tuple[Entry, ...]] = field(default_factory=dict)
-    """What the columns of a row must have: an entry, or one of several."""
-    divided_by: str = ""
-    """Column by which the first one is divided, row by row."""
-    by: tuple[str, ...] = ()
-    """Columns whose entries make a group of rows; each group becomes one number."""
-    within: Literal["mean", "range", "relative_range", "rank_correlation"] = "mean"
-    """How: ``relative_range`` is the range over the mean, ``rank_correlation``
-    Spearman's coefficient with the column ``against``."""
-    against: str = ""
-    aggregate: Literal[
-        "only",
-        "mean",
-        "median",
-        "smallest",
-        "largest",
-        "sum",
-        "rows",
-        "share_below",
-        "share_above",
-    ] = "only"
-    """Of these numbers; ``only``: there is just one; ``rows``: how many there are."""
-    limit: Real = 0.0
-    """For the shares."""
-    low: str = ""
-    high: str = ""
-    """Columns of the same row with the 5 % and 95 % quantiles over random seas."""
-    per: str = ""
-    """Column with the random sea: the number is then taken in each sea by itself, and the
-    median with these quantiles is what counts."""
-    minus: Query | None = None
-    """This one is subtracted from the number, ..."""
-    over: Query | None = None
-    """... which is then divided by this one."""
-
-    @model_validator(mode="after")
-    def _is_whole(self) -> Self:
-        if bool(self.against) != (self.within == "rank_correlation"):
-            raise ValueError("'against' with 'rank_correlation', and only there")
-        if bool(self.low) != bool(self.high) or (self.low and self.per):
-            raise ValueError("'low' with 'high', and not with 'per'")
-        return self
-
-    @property
-    def ends(self) -> tuple[str, str]:
-        """Columns of the interval."""
-        return self.low, self.high
-
-    def tables(self) -> Iterator[str]:
-        """The tables that it reads."""
-        yield self.table
-        for other in (self.over, self.minus):
-            if other:
-                yield from other.tables()
+_TABLE = re.compile(r"\b(?:from|join)\s+(\w+)\.(\w+)")
+_LOW, _MEDIAN, _HIGH = INTERVAL
+_MACROS = f"""
+create macro share(condition) as count_if(condition) / count(*);
+create macro over_seas(x) as quantile_cont(x, [{_MEDIAN}, {_LOW}, {_HIGH}]);
+-- mean ranks, less their mean: how many are smaller, and half of those that are equal
+create macro centred_ranks(list) as list_transform(list, lambda one:
+    len(list_filter(list, lambda other: other < one))
+    + (len(list_filter(list, lambda other: other = one)) - len(list)) / 2);
+create macro rank_correlation(x, y) as
+    list_cosine_similarity(centred_ranks(list(x)), centred_ranks(list(y)));
+"""
 
 
-@dataclass(frozen=True)
-class Measured:
+def tables_of(query: str) -> set[str]:
+    """The tables that a query reads, as ``experiment/stem``."""
+    return {"/".join(names) for names in _TABLE.findall(query)}
+
+
+def _reads_tables(query: str) -> str:
+    if not tables_of(query):
+        raise ValueError("no table 'from experiment.stem'")
+    return query
+
+
+Query = Annotated[str, AfterValidator(_reads_tables)]
+
+
+class Measured(NamedTuple):
     """A number, and its interval over random seas if there is one."""
 
     number: float
@@ -104,115 +62,52 @@ class Measured:
         return not math.isnan(self.low)
 
 
-@dataclass(frozen=True)
 class Tables:
     """The tables of a results folder, each read once."""
 
-    root: Path
-    _read: dict[str, pd.DataFrame] = field(default_factory=dict, repr=False)
+    def __init__(self, root: Path) -> None:
+        import duckdb  # noqa: PLC0415 - only who judges claims waits for it
 
-    def measured(self, query: Query) -> Measured:
-        """Take the number that a query asks for; not a number if no row answers it.
+        self.root = root.resolve()
+        self._read: set[str] = set()
+        self._error = duckdb.Error
+        self._database = duckdb.connect(config={"threads": 1})  # so that sums have one order
+        self._database.execute(_MACROS)
+        folder = self.root.as_posix().replace("'", "''")
+        self._database.execute(f"set allowed_directories = ['{folder}']")
+        self._database.execute("set enable_external_access = false; set lock_configuration = true")
+
+    def has(self, query: str) -> bool:
+        """Whether all tables that a query reads are there."""
+        return all(self._path(name).is_file() for name in tables_of(query))
+
+    def measured(self, query: str) -> Measured:
+        """Take the number that a query asks for; not a number if nothing answers it.
 
         Raises
         ------
         LookupError
-            If there is no such column, or not just one row where one is asked for.
+            If the query cannot be answered, or not by one row.
         """
-        if query.per:
-            seas = _column(self._rows(query, {}), query, query.per).dropna().unique()
-            values = [self._number(query, {query.per: sea}) for sea in seas] or [math.nan]
-            low, middle, high = over_seas(values)
-            return Measured(middle, low, high)
-        number = self._number(query, {})
-        if not query.low:
-            return Measured(number)
-        rows = self._rows(query, {})
-        return Measured(number, *(_only(_floats(rows, query, end), query) for end in query.ends))
+        try:
+            for name in sorted(tables_of(query) - self._read):
+                self._add(name)
+            rows = self._database.execute(query).fetchall()
+        except self._error as error:
+            raise LookupError(f"{str(error).splitlines()[0]}: {query.strip()}") from None
+        if len(rows) != 1:
+            raise LookupError(f"{len(rows)} rows, not one: {query.strip()}")
+        (found,) = rows
+        numbers = found[0] if isinstance(found[0], list) else found
+        return Measured(*(math.nan if one is None else float(one) for one in numbers))
 
-    def _table(self, name: str) -> pd.DataFrame:
-        if name not in self._read:
-            experiment, stem = name.split("/")
-            self._read[name] = Store(experiment, self.root).read_table(stem)
-        return self._read[name]
+    def _path(self, name: str) -> Path:
+        return self.root / f"{name}.csv"
 
-    def _number(self, query: Query, sea: Mapping[str, Any]) -> float:
-        number = _aggregated(query, self._rows(query, sea))
-        if query.minus:
-            number -= self._number(query.minus, sea)
-        if query.over:
-            divisor = self._number(query.over, sea)
-            number = number / divisor if divisor else math.nan
-        return number
-
-    def _rows(self, query: Query, sea: Mapping[str, Any]) -> pd.DataFrame:
-        rows = self._table(query.table)
-        for name, wanted in {**query.where, **sea}.items():
-            several = wanted if isinstance(wanted, tuple) else (wanted,)
-            rows = rows[_column(rows, query, name).isin(list(several))]
-        return rows
-
-
-def _aggregated(query: Query, rows: pd.DataFrame) -> float:
-    if query.aggregate == "rows":
-        return float(len(rows))
-    values = _values(query, rows)
-    if query.aggregate == "only":
-        return _only(values, query)
-    if not len(values) and query.aggregate != "sum":
-        return math.nan
-    return float(_AGGREGATES[query.aggregate](values, query.limit))
-
-
-def _values(query: Query, rows: pd.DataFrame) -> Floats:
-    values = _floats(rows, query, query.column)
-    if query.divided_by:
-        values = values / _floats(rows, query, query.divided_by)
-    if not query.by:
-        return values
-    keys = [_column(rows, query, name) for name in query.by]
-    other = _floats(rows, query, query.against) if query.against else values
-    pairs = pd.DataFrame({"value": values, "other": other}, index=rows.index)
-    return np.array([_WITHIN[query.within](pair) for _, pair in pairs.groupby(keys, sort=False)])
-
-
-def _column(table: pd.DataFrame, query: Query, name: str) -> pd.Series:
-    if name not in table.columns:
-        raise LookupError(f"{query.table}.csv has no column {name!r}")
-    return table[name]
-
-
-def _floats(table: pd.DataFrame, query: Query, name: str) -> Floats:
-    values: Floats = _column(table, query, name).to_numpy(float)
-    return values
-
-
-def _only(values: Floats, query: Query) -> float:
-    if len(values) != 1:
-        raise LookupError(f"{len(values)} rows of {query.table}.csv with {query.where}, not one")
-    return float(values[0])
-
-
-def _range(group: pd.DataFrame) -> float:
-    return float(group["value"].max() - group["value"].min())
-
-
-def _rank_correlation(group: pd.DataFrame) -> float:
-    return float(group["value"].rank().corr(group["other"].rank()))
-
-
-_WITHIN: Mapping[str, Callable[[pd.DataFrame], float]] = {
-    "mean": lambda group: float(group["value"].mean()),
-    "range": _range,
-    "relative_range": lambda group: _range(group) / float(group["value"].mean()),
-    "rank_correlation": _rank_correlation,
-}
-_AGGREGATES: Mapping[str, Callable[[Floats, float], Any]] = {
-    "mean": lambda values, _: np.mean(values),
-    "median": lambda values, _: np.median(values),
-    "smallest": lambda values, _: np.min(values),
-    "largest": lambda values, _: np.max(values),
-    "sum": lambda values, _: np.sum(values),
-    "share_below": lambda values, limit: np.mean(values < limit),
-    "share_above": lambda values, limit: np.mean(values > limit),
-}
+    def _add(self, name: str) -> None:
+        note_read(self._path(name))
+        experiment, stem = name.split("/")
+        self._database.execute(f"create schema if not exists {experiment}")
+        table = f"create table {experiment}.{stem} as from read_csv(?, header = true, delim = ',')"
+        self._database.execute(table, [str(self._path(name))])
+        self._read.add(name)

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
+
+if TYPE_CHECKING:
+    from pandas.core.groupby.generic import SeriesGroupBy
 
 INTERVAL = (0.05, 0.5, 0.95)
 """Quantiles over the random seas: a 90 % interval and its median."""
@@ -20,6 +25,14 @@ def interval(values: ArrayLike, name: str = "median", prefix: str = "") -> dict[
     """The median under ``name``, and the ends of its interval, as columns of a table."""
     low, median, high = over_seas(values)
     return {f"{prefix}low": low, name: median, f"{prefix}high": high}
+
+
+def intervals_of(groups: SeriesGroupBy[Any, Any]) -> pd.DataFrame:
+    """``low``, ``median`` and ``high`` of each group, as `over_seas` has them."""
+    names = ("low", "median", "high")
+    return pd.DataFrame(
+        {name: groups.quantile(level) for name, level in zip(names, INTERVAL, strict=True)}
+    )
 
 
 def rank_correlation(first: pd.Series, second: pd.Series) -> float:

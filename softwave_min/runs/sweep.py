@@ -19,7 +19,7 @@ from typing import Any, NoReturn
 import numpy as np
 from tqdm import tqdm
 
-from softwave_min.control.nmpc import Status
+from softwave_min.control.problem import Status
 from softwave_min.parameters import ParameterSet
 from softwave_min.runs.executor import (
     Executor,

@@ -11,7 +11,8 @@ from dataclasses import replace
 from importlib import import_module
 
 from softwave_min.control.compiled.engine import Engine
-from softwave_min.control.nmpc import GaussNewton, Solver
+from softwave_min.control.nmpc import GaussNewton
+from softwave_min.control.problem import Solver
 from softwave_min.native import compiler
 from softwave_min.parameters import ParameterSet
 from softwave_min.simulation.plant import CvodesPlant, ExtrapolatedPlant, Plant, RungeKuttaPlant
@@ -34,14 +35,8 @@ def engine_or_none(scenario: Scenario) -> Engine | None:
     """The compiled engine where there is a compiler."""
     if compiler() is None:
         return None
-    parameters = scenario.parameters
-    return Engine(
-        scenario.arm,
-        scenario.believed_gains,
-        scenario.gains,
-        parameters.nmpc,
-        parameters.simulation,
-    )
+    gains, parameters = (scenario.believed_gains, scenario.gains), scenario.parameters
+    return Engine(scenario.arm, *gains, parameters.nmpc, parameters.simulation)
 
 
 def compile_engine(parameters: ParameterSet) -> None:

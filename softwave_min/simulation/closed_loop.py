@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softwave_min.simulation.backends import plant_of
 from softwave_min.simulation.controllers import (
-    CONTROLLERS,
     Command,
     Compiled,
     Controller,
+    Factory,
     History,
+    factory_of,
 )
 from softwave_min.simulation.scenario import Scenario
 
@@ -27,6 +29,9 @@ class SimulationError(RuntimeError):
 @dataclass(frozen=True)
 class ClosedLoop:
     """Record of one run; instants are the control instants, first and last included."""
+
+    TRANSIENT: ClassVar[float] = 10.0
+    """Seconds after which a run counts as settled."""
 
     time: Floats
     """(T + 1,), in s."""
@@ -58,36 +63,50 @@ class ClosedLoop:
         distance: Floats = np.hypot(offset[:, 0], offset[:, 1])
         return distance
 
+    @property
+    def rmse(self) -> float:
+        """RMSE of the tip over the whole run, start included, in m."""
+        return root_mean_square_error(self.error)
+
+    @property
+    def settled_rmse(self) -> float:
+        """RMSE of the tip from ``TRANSIENT`` on, in m; NaN if the run ends before."""
+        settled = self.error[round(self.TRANSIENT / self.time[1]) :]
+        return root_mean_square_error(settled) if len(settled) else float("nan")
+
 
 def root_mean_square_error(error: Floats) -> float:
     """RMSE of a series of distances, in m."""
     return float(np.sqrt(np.mean(error**2)))
 
 
-def simulate(scenario: Scenario, controller: Controller | str) -> ClosedLoop:
+def simulate(scenario: Scenario, controller: Controller | Factory | str) -> ClosedLoop:
     """Run plant and controller over the scenario.
 
     Parameters
     ----------
     scenario : Scenario
-    controller : Controller or str
-        A controller of your own, or a name in ``CONTROLLERS``: by name the whole run is done
-        in the compiled engine where that can, with the same numbers.
+    controller : Controller, class of controllers or str
+        A controller, or what makes one for the scenario: its class, or its name in
+        ``CONTROLLERS``. One that is made here does the whole run in the compiled engine where
+        that can, with the same numbers.
 
     Raises
     ------
     SimulationError
         If a state or the sea is not finite, naming the time.
+    ValueError
+        If there is no controller of that name.
     """
     if not np.all(np.isfinite(scenario.flow)):
         when = scenario.period * int(np.argmin(np.isfinite(scenario.flow).all(axis=1)))
         raise SimulationError(f"the sea is not finite from t = {when:.1f} s")
-    if isinstance(controller, str):
-        controller = CONTROLLERS[controller](scenario)
+    if factory := factory_of(controller):
+        controller = factory(scenario)
         history = controller.whole_run() if isinstance(controller, Compiled) else None
         if history and np.all(np.isfinite(history.states)):
             return _record(scenario, history)
-    return _record(scenario, _stepped(scenario, controller))
+    return _record(scenario, _stepped(scenario, cast(Controller, controller)))
 
 
 def _stepped(scenario: Scenario, controller: Controller) -> History:

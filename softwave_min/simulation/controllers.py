@@ -1,22 +1,22 @@
 """The controllers by name: what turns the state at an instant into a command.
 
-A controller of your own is a class made of a scenario with a method ``command``, and an entry
-in ``CONTROLLERS``: the grid, its tables and its figures then have it as well.
+A controller of your own is any object with a method ``command``. With a class that is made of a
+scenario, as an entry in ``CONTROLLERS``, the grid, its tables and its figures have it as well.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Protocol, runtime_checkable
+from typing import Protocol, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softwave_min.control.baseline import Correction
-from softwave_min.control.nmpc import Problem, Solution, Solver, Status
 from softwave_min.control.preview import Preview, noise_deviation
+from softwave_min.control.problem import Problem, Solution, Solver, Status
 from softwave_min.simulation.backends import engine_or_none, solver_of
 from softwave_min.simulation.scenario import Scenario
 
@@ -49,7 +49,11 @@ class Controller(Protocol):
     """Anything that turns the state at an instant into a command."""
 
     def command(self, step: int, state: Floats) -> Command:
-        """Command for the control period that starts at ``step``."""
+        """Command for the control period that starts at ``step``, from the state (q, qd)."""
+
+
+Factory = Callable[[Scenario], Controller]
+"""A controller's class, or a function: what makes a new controller for a scenario."""
 
 
 @dataclass(frozen=True)
@@ -175,8 +179,22 @@ class NmpcController:
 
 REFERENCE = "baseline"
 """The controller that the others are compared with."""
-CONTROLLERS: Mapping[str, Callable[[Scenario], Controller]] = {
-    REFERENCE: BaselineController,
-    "nmpc": NmpcController,
-}
+CONTROLLERS: dict[str, Factory] = {REFERENCE: BaselineController, "nmpc": NmpcController}
 """Every controller that the experiments compare."""
+
+
+def factory_of(controller: Controller | Factory | str) -> Factory | None:
+    """What makes a controller, given by its name or itself; None for one that is made already.
+
+    Raises
+    ------
+    ValueError
+        If there is none of that name.
+    """
+    if isinstance(controller, str):
+        if controller not in CONTROLLERS:
+            raise ValueError(f"no controller {controller!r}; there are: {', '.join(CONTROLLERS)}")
+        return CONTROLLERS[controller]
+    # A class of controllers has the method as well.
+    made = hasattr(controller, "command") and not isinstance(controller, type)
+    return None if made else cast(Factory, controller)

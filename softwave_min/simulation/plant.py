@@ -12,8 +12,8 @@ from typing import Protocol
 
 import casadi as ca
 import numpy as np
+import scipy  # whose parts are loaded when they are used
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 
 from softwave_min.arm import Arm, Structure, Values, mechanics
 from softwave_min.control.baseline import InnerLoop
@@ -62,11 +62,7 @@ class CvodesPlant:
     """SUNDIALS' variable-order BDF."""
 
     def __init__(
-        self,
-        arm: Arm,
-        gains: Floats,
-        parameters: SimulationParameters,
-        period: float,
+        self, arm: Arm, gains: Floats, parameters: SimulationParameters, period: float
     ) -> None:
         self._fixed = np.concatenate([gains, arm.values])
         self._integrator = _cvodes(arm.structure, parameters, period)
@@ -103,11 +99,7 @@ class RungeKuttaPlant:
     """Dormand and Prince's fifth-order method with variable step."""
 
     def __init__(
-        self,
-        arm: Arm,
-        gains: Floats,
-        parameters: SimulationParameters,
-        period: float,
+        self, arm: Arm, gains: Floats, parameters: SimulationParameters, period: float
     ) -> None:
         self._rate = rate_function(arm.structure)
         self._gains, self._values = gains, arm.values
@@ -121,7 +113,7 @@ class RungeKuttaPlant:
             answer: Floats = self._rate(x, time, q_bar, flow, self._gains, self._values).full()
             return answer.ravel()
 
-        run = solve_ivp(
+        run = scipy.integrate.solve_ivp(
             rate,
             (-self._half, self._half),
             state,
@@ -144,11 +136,7 @@ class ExtrapolatedPlant:
     """
 
     def __init__(
-        self,
-        arm: Arm,
-        gains: Floats,
-        parameters: SimulationParameters,
-        period: float,
+        self, arm: Arm, gains: Floats, parameters: SimulationParameters, period: float
     ) -> None:
         self._step = step_function(arm.structure)
         self._command = command_function(arm.structure)

@@ -1,7 +1,7 @@
 r"""Search for the parameter set that comes closest to the paper's numbers.
 
 The paper leaves open what decides its numbers. This is a global search (CMA-ES) within the
-ranges of ``data/studies/open_values.toml`` for the values that minimise
+ranges of ``data/studies/plausible_ranges.toml`` for the values that minimise
 
 .. math:: \sum_i \rho\big((y_i - y_i^{\text{paper}}) / \sigma_i\big),
    \qquad \rho(e) = 2 (\sqrt{1 + e^2} - 1),
@@ -16,38 +16,41 @@ are there, and goes on where it was interrupted.
 
 from __future__ import annotations
 
-import re
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import tomlkit
 from numpy.typing import NDArray
 from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass as validated
 
-from softwave_min.data import ParameterError
+from softwave_min.data import ParameterError, data_folder, read_toml
 from softwave_min.experiments.closed_loop import prepare
+from softwave_min.paper.claims import claims
 from softwave_min.parameters import (
     Count,
     ParameterSet,
     Positive,
     Real,
     Seed,
-    load_data,
     parameter_set,
+    validate,
 )
 from softwave_min.runs.executor import Executor
 from softwave_min.runs.experiment import Experiment, Run, RunArrays, Tables
 from softwave_min.runs.store import Store
 from softwave_min.runs.sweep import compute
-from softwave_min.studies.headlines import HeadlineRun, headline_cells, headline_numbers
+from softwave_min.studies.cells import headline_cells
+from softwave_min.studies.headlines import HeadlineRun, headline_numbers
 from softwave_min.studies.ranges import (
     GAIN,
     GRADATION,
-    OpenValue,
-    open_values,
+    PlausibleRange,
+    open_fields,
+    plausible_ranges,
     rounded,
     value_in,
     with_values,
@@ -62,7 +65,7 @@ NEAR = 1.0
 COMMENT = 38
 """Column of the comments in a set's file."""
 CALIBRATED_HEADER = """# The calibrated parameter set, made by
-# `python -m softwave_min calibrate --write`: the physical set with those of its open values
+# `python -m softwave_min calibrate --write`: the physical set, its open parameters those
 # that come closest to the paper's numbers."""
 
 
@@ -80,7 +83,7 @@ class Number:
 
 @validated(frozen=True, config=ConfigDict(extra="forbid"))
 class Search:
-    """What data/studies/calibration.toml fixes."""
+    """How the search goes and what it compares."""
 
     seed: Seed
     population: Count
@@ -90,8 +93,14 @@ class Search:
 
 
 def search_settings() -> Search:
-    """How the search goes and what it compares."""
-    return load_data(Search, "studies/calibration.toml")
+    """What data/studies/calibration.toml fixes, with the numbers of the claims that it names."""
+    path = data_folder() / "studies" / "calibration.toml"
+    entries, cited = read_toml(path), {claim.id: claim for claim in claims()}
+    for number in entries["number"]:
+        claim = cited[number["claim"]]
+        if claim.paper is not None:
+            number |= {"paper": claim.paper, "at_most": claim.test == "at_most"}
+    return validate(Search, entries, source=path)
 
 
 # --- parameter sets ---------------------------------------------------------------------
@@ -103,19 +112,20 @@ def set_text(text: str, parameters: ParameterSet, fields: Sequence[str]) -> str:
     Raises
     ------
     ParameterError
-        If a field has no line of its own in the text.
+        If a field does not stand in the text.
     """
+    document = tomlkit.parse(text)
     for field in fields:
         section, name = (GAIN if field == GRADATION else field).split(".")
+        if name not in document.get(section, {}):
+            raise ParameterError(f"{field}: not in the set")
         found = getattr(getattr(parameters, section), name)
-        entry = f"[{', '.join(map(repr, found))}]" if isinstance(found, tuple) else repr(found)
-        line = re.compile(rf"(\[{section}\]\n(?:(?!\[)[^\n]*\n)*?)({name} = )[^\n]*")
-        match = line.search(text)
-        if match is None:
-            raise ParameterError(f"{field}: no such line in the set")
-        written = f"{match[2]}{entry}".ljust(COMMENT) + "# open: calibrated"
-        text = f"{text[: match.start()]}{match[1]}{written}{text[match.end() :]}"
-    return text
+        entry = tomlkit.item(list(found) if isinstance(found, tuple) else found)
+        entry.comment("open: calibrated")
+        written = len(f"{name} = {entry.as_string()} ")
+        entry.trivia.comment_ws = " " * (1 + max(COMMENT - written, 0))
+        document[section][name] = entry
+    return tomlkit.dumps(document)
 
 
 def best_of(evaluations: pd.DataFrame) -> pd.Series:
@@ -128,7 +138,7 @@ def best_set_text(evaluations: pd.DataFrame, folder: Path) -> str:
     the values found.
     """
     best = best_of(evaluations)
-    fields = [value.field for value in open_values()]
+    fields = open_fields()
     found = with_values(parameter_set(START), {field: float(best[field]) for field in fields})
     text = set_text((folder / f"{START}.toml").read_text(encoding="utf-8"), found, fields)
     return text.replace(f"# The {START} parameter set.", CALIBRATED_HEADER, 1)
@@ -158,7 +168,7 @@ def calibrate(store: Store, workers: Executor, search: Search) -> pd.DataFrame:
         warnings.simplefilter("ignore")
         import cma  # noqa: PLC0415
 
-    values, start, cells = open_values(), parameter_set(START), headline_cells()
+    values, start, cells = plausible_ranges(), parameter_set(START), headline_cells()
     first = np.array([value.share(value_in(start, value.field)) for value in values])
     strategy = cma.CMAEvolutionStrategy(
         np.clip(first, 0, 1),
@@ -188,7 +198,7 @@ def calibrate(store: Store, workers: Executor, search: Search) -> pd.DataFrame:
     return table
 
 
-def _at(shares: Floats, start: ParameterSet, values: Sequence[OpenValue]) -> ParameterSet:
+def _at(shares: Floats, start: ParameterSet, values: Sequence[PlausibleRange]) -> ParameterSet:
     chosen = {
         value.field: rounded(value.at(share)) for value, share in zip(values, shares, strict=True)
     }
@@ -222,19 +232,16 @@ def _tables(runs: Sequence[Run], search: Search, arrays: RunArrays) -> Tables:
                 "generation": generation,
                 "index": index,
                 "objective": objective(numbers, search),
-                **{
-                    value.field: value_in(run.parameters.parameters, value.field)
-                    for value in open_values()
-                },
+                **{name: value_in(run.parameters.parameters, name) for name in open_fields()},
                 **numbers,
                 "solves_failed": failed,
             }
         )
     evaluations = pd.DataFrame(rows)
-    return {"evaluations": evaluations, "flatness": flatness(evaluations, open_values())}
+    return {"evaluations": evaluations, "flatness": flatness(evaluations, plausible_ranges())}
 
 
-def flatness(evaluations: pd.DataFrame, values: Sequence[OpenValue]) -> pd.DataFrame:
+def flatness(evaluations: pd.DataFrame, values: Sequence[PlausibleRange]) -> pd.DataFrame:
     """How far each value may go while the objective stays within ``NEAR`` of the best.
 
     ``share`` is the width of that interval as a share of the plausible range: near 1, the

@@ -14,6 +14,7 @@ MODULES = {
     "spectra": "experiments",
     "example_case": "experiments",
     "error_ratio": "experiments",
+    "fixed_arm": "experiments",
     "setpoints": "experiments",
     "actuator_failure": "experiments",
     "star": "experiments",

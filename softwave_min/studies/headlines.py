@@ -1,7 +1,8 @@
 """The paper's headline numbers of a parameter set, from the closed loops that decide them.
 
 The corners of the grid of error ratios stand for the whole of it, so that a set is judged in
-seconds: for the calibration, the register's switches and the sensitivity study.
+seconds: for the calibration, the switches of the open points and the sensitivity study. Nothing
+here reads a file; `cells` says which closed loops are meant.
 """
 
 from __future__ import annotations
@@ -13,27 +14,36 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict
-from pydantic.dataclasses import dataclass as validated
 
-from softwave_min.experiments import star
+from softwave_min.data import ParameterError
 from softwave_min.experiments.closed_loop import LoopRun, scenario_of, with_failure
-from softwave_min.experiments.places import in_sea
-from softwave_min.paper.cases import poses, wave_cases
-from softwave_min.parameters import Count, ParameterSet, Positive, load_data
-from softwave_min.simulation import SimulationError, root_mean_square_error, simulate
+from softwave_min.experiments.star_loops import scenario_on_star
+from softwave_min.experiments.star_path import StarParameters
+from softwave_min.parameters import ParameterSet
+from softwave_min.simulation import (
+    ClosedLoop,
+    SimulationError,
+    root_mean_square_error,
+    simulate,
+)
+
+Cell = tuple[tuple[float, float], float]
+"""Desired tip and significant height, in m."""
 
 
-@validated(frozen=True, config=ConfigDict(extra="forbid"))
+@dataclass(frozen=True)
 class Cells:
-    """Which closed loops stand for the paper's figures."""
+    """Which closed loops stand for the paper's figures, in each wave case."""
 
-    grid: tuple[tuple[str, Positive], ...]
-    """Pose and significant height in m, in every wave case."""
-    failure_poses: tuple[str, ...]
-    failure_heights: tuple[Positive, ...]
-    """In m."""
-    failed_segment: Count
+    peak_periods: tuple[tuple[str, float], ...]
+    """Of the wave cases by name, in s."""
+    grid: tuple[Cell, ...]
+    failures: tuple[Cell, ...]
+    """Those that are also run with a failed segment."""
+    failed_segment: int
+    star: StarParameters
+    star_height: float
+    """Significant height on the star, in m."""
 
 
 @dataclass(frozen=True)
@@ -43,10 +53,18 @@ class HeadlineRun:
     parameters: ParameterSet
     cells: Cells
 
+    def __post_init__(self) -> None:
+        segments, failed = self.parameters.arm.segments, self.cells.failed_segment
+        if failed > segments:
+            raise ParameterError(
+                f"the headline numbers need a segment {failed}: the arm has {segments}"
+            )
 
-def headline_cells() -> Cells:
-    """Those of data/studies/headline_cells.toml."""
-    return load_data(Cells, "studies/headline_cells.toml")
+    def in_sea(self, peak_period: float, significant_height: float) -> ParameterSet:
+        """The parameters with another sea."""
+        sea = self.parameters.sea
+        sea = replace(sea, peak_period=peak_period, significant_height=significant_height)
+        return replace(self.parameters, sea=sea)
 
 
 def headline_numbers(run: HeadlineRun) -> dict[str, NDArray[Any]]:
@@ -64,13 +82,13 @@ def headline_numbers(run: HeadlineRun) -> dict[str, NDArray[Any]]:
     tally = _Tally()
     numbers: dict[str, float] = {}
     ratios: dict[str, list[float]] = {}
-    for case in wave_cases():
-        ratios[case] = list(_ratios(run, case, tally))
+    for case, period in run.cells.peak_periods:
+        ratios[case] = list(_ratios(run, period, tally))
         numbers[f"largest_reduction_{case}"] = 100 * (1 - min(ratios[case]))
         numbers[f"lowest_reduction_{case}"] = 100 * (1 - max(ratios[case]))
-        numbers[f"rise_{case}"] = float(np.mean(list(_rises(run, case, tally))))
-        numbers[f"star_{case}"] = _star_error(run, case, tally)
-    rises = [numbers[f"rise_{case}"] for case in wave_cases()]
+        numbers[f"rise_{case}"] = float(np.mean(list(_rises(run, period, tally))))
+        numbers[f"star_{case}"] = _star_error(run, period, tally)
+    rises = [numbers[f"rise_{case}"] for case in ratios]
     numbers["rise"] = float(np.mean(rises))
     numbers["rise_spread"] = max(rises) - min(rises)
     numbers["cells_below_one"] = 100 * float(np.mean(np.concatenate(list(ratios.values())) < 1))
@@ -97,31 +115,30 @@ class _Tally:
         """RMSE of a closed loop over the whole run, in m."""
         key = (run, controller)
         if key not in self.errors:
-            loop = simulate(scenario_of(run), controller)
-            self.failed += int(np.count_nonzero(loop.status > 0))
-            self.errors[key] = root_mean_square_error(loop.error)
+            self.errors[key] = self.error_of(simulate(scenario_of(run), controller))
         return self.errors[key]
 
+    def error_of(self, loop: ClosedLoop) -> float:
+        """RMSE of a loop that is run once anyway."""
+        self.failed += int(np.count_nonzero(loop.status > 0))
+        return root_mean_square_error(loop.error)
 
-def _ratios(run: HeadlineRun, case: str, tally: _Tally) -> Iterator[float]:
-    for pose, height in run.cells.grid:
-        cell = LoopRun(in_sea(run.parameters, case, height), (poses()[pose],))
+
+def _ratios(run: HeadlineRun, period: float, tally: _Tally) -> Iterator[float]:
+    for target, height in run.cells.grid:
+        cell = LoopRun(run.in_sea(period, height), (target,))
         yield tally.error(cell, "nmpc") / tally.error(cell, "baseline")
 
 
-def _rises(run: HeadlineRun, case: str, tally: _Tally) -> Iterator[float]:
-    for height in run.cells.failure_heights:
-        intact = in_sea(run.parameters, case, height)
-        failed = with_failure(intact, run.cells.failed_segment, run.parameters.failure.manner)
-        for pose in run.cells.failure_poses:
-            cell = LoopRun(intact, (poses()[pose],))
-            before = tally.error(cell, "nmpc")
-            yield 100 * (tally.error(replace(cell, parameters=failed), "nmpc") / before - 1)
+def _rises(run: HeadlineRun, period: float, tally: _Tally) -> Iterator[float]:
+    for target, height in run.cells.failures:
+        cell = LoopRun(run.in_sea(period, height), (target,))
+        manner = run.parameters.failure.manner
+        failed = with_failure(cell.parameters, run.cells.failed_segment, manner)
+        before = tally.error(cell, "nmpc")
+        yield 100 * (tally.error(replace(cell, parameters=failed), "nmpc") / before - 1)
 
 
-def _star_error(run: HeadlineRun, case: str, tally: _Tally) -> float:
-    chosen = star.choice()
-    parameters = in_sea(run.parameters, case, chosen.significant_height)
-    loop = simulate(star.scenario_of(parameters, chosen.path), "nmpc")
-    tally.failed += int(np.count_nonzero(loop.status > 0))
-    return root_mean_square_error(loop.error)
+def _star_error(run: HeadlineRun, period: float, tally: _Tally) -> float:
+    parameters = run.in_sea(period, run.cells.star_height)
+    return tally.error_of(simulate(scenario_on_star(parameters, run.cells.star), "nmpc"))

@@ -1,6 +1,6 @@
 """The measured effect of every other reading of the paper on its headline numbers.
 
-Each switch of the register gives parameter sets that differ from the nominal one in that
+Each switch of an open point gives parameter sets that differ from the nominal one in that
 reading alone. Their headline numbers (`headlines`) are compared with the nominal ones in the
 same random seas with the same noise. A difference has to be seen beside two others: the scatter of
 the nominal numbers over seas, and the distance within which a claim of the paper counts as
@@ -9,6 +9,7 @@ reproduced.
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,20 +21,16 @@ from numpy.typing import NDArray
 
 from softwave_min.data import ParameterError
 from softwave_min.experiments.closed_loop import prepare
-from softwave_min.paper.cases import wave_cases
+from softwave_min.experiments.places import in_realisation
+from softwave_min.paper.cases import poses, wave_cases
 from softwave_min.paper.open_points import open_points
+from softwave_min.paper.tolerance import PERCENT, tolerance
 from softwave_min.parameters import ParameterSet
 from softwave_min.runs.experiment import Experiment, Run, RunArrays, Tables, Tolerance
 from softwave_min.runs.statistics import over_seas
-from softwave_min.studies.bounded_solves import with_bounded_solves
 from softwave_min.studies.calibration import search_settings
-from softwave_min.studies.headlines import (
-    Cells,
-    HeadlineRun,
-    attempted_numbers,
-    headline_cells,
-    headline_numbers,
-)
+from softwave_min.studies.cells import headline_cells, with_bounded_solves
+from softwave_min.studies.headlines import HeadlineRun, attempted_numbers, headline_numbers
 
 Floats = NDArray[np.float64]
 Numbers = Mapping[str, NDArray[Any]]
@@ -45,15 +42,13 @@ SCATTER_SEAS = 20
 """Seas in which the nominal set is run to see what another sea does."""
 SLOW = ("nmpc.solver", "simulation.integrator")
 """Fields whose other values find the same loops by a method that is up to several hundred times
-slower: they are measured in `BRIEF` and in the first sea."""
-BRIEF_CELLS = Cells((("P3", 3.0),), ("P3",), (3.0,), headline_cells().failed_segment)
+slower: they are measured in `BRIEF`, at `BRIEF_PLACE` and in the first sea."""
+BRIEF_PLACE = ("P3", 3.0)
+"""Pose, and significant height in m."""
 BRIEF = 1.5
 """Duration of their loops, in s: it has the start, where the solvers work most."""
 REALISATIONS = "sea.realisations"
 """Its reading is not another loop but the median over that many seas."""
-TOLERANCE_SHARE, TOLERANCE_POINTS = 0.15, 3.0
-"""Within this share of the paper's number, or so many points of per cent if that is more, a
-claim can count as reproduced."""
 GROUPS: Mapping[str, str] = {
     "largest_reduction": "points",
     "lowest_reduction": "points",
@@ -95,20 +90,15 @@ class _Effect:
     """What came of an alternative."""
 
     status: str
-    nominal: Sequence[Numbers] = ()
-    """In each sea."""
-    other: Sequence[Numbers] = ()
+    nominal: Mapping[str, Floats] = dataclasses.field(default_factory=dict)
+    """By number, (seas,) each."""
+    other: Mapping[str, Floats] = dataclasses.field(default_factory=dict)
     seconds: float = 0.0
     """Duration of the loops."""
 
-    @property
-    def solves_failed(self) -> int:
-        """Most in one sea."""
-        return max((int(one[FAILED]) for one in self.other), default=0)
-
 
 def alternatives(parameters: ParameterSet) -> list[Alternative]:
-    """Every other value of every switch of the register, applied to the parameters."""
+    """Every other value of every switch of the open points, applied to the parameters."""
     nominal = _one_sea(parameters)
     found = []
     for point in open_points():
@@ -142,13 +132,13 @@ def offsets(field: str) -> tuple[int, ...]:
 
 def loops(parameters: ParameterSet, field: str, offset: int) -> HeadlineRun:
     """The closed loops by which a parameter set is judged in one sea."""
-    sea = replace(parameters.sea, seed=parameters.sea.seed + offset)
-    preview = replace(parameters.preview, seed=parameters.preview.seed + offset)
-    found = with_bounded_solves(replace(parameters, sea=sea, preview=preview))
+    found, cells = with_bounded_solves(in_realisation(parameters, offset)), headline_cells()
     if field in SLOW:
         brief = replace(found.simulation, duration=min(BRIEF, found.simulation.duration))
-        return HeadlineRun(replace(found, simulation=brief), BRIEF_CELLS)
-    return HeadlineRun(found, headline_cells())
+        found = replace(found, simulation=brief)
+        place = (poses()[BRIEF_PLACE[0]], BRIEF_PLACE[1])
+        cells = replace(cells, grid=(place,), failures=(place,))
+    return HeadlineRun(found, cells)
 
 
 def runs(parameters: ParameterSet) -> Sequence[Run]:
@@ -201,8 +191,7 @@ def tabulate(parameters: ParameterSet, arrays: RunArrays) -> Tables:
     scatter = _scatter_table(
         [of[loops(nominal, "", offset)] for offset in range(_scatter_seas(others))]
     )
-    found = [(one, _effect(one, nominal, of)) for one in others]
-    effects = _effect_table(found, list(scatter["number"]))
+    effects = _effect_table([(one, _effect(one, nominal, of)) for one in others], scatter)
     return {"effects": effects, "points": _point_table(effects, scatter), "scatter": scatter}
 
 
@@ -211,15 +200,15 @@ def _scatter_table(found: Sequence[Numbers]) -> pd.DataFrame:
 
     ``scatter`` is half of it; ``allowance`` is that or the tolerance of a claim, if larger.
     """
-    papers = _papers()
+    papers = {one.name: one.paper for one in search_settings().number if not one.at_most}
     rows = []
     for number, values in _stacked(found).items():
+        if number == FAILED:
+            continue
         low, median, high = over_seas(values)
         group = group_of(number)
         unit, paper = GROUPS.get(group, "points"), papers.get(number)
-        tolerance = TOLERANCE_SHARE * abs(paper or 0.0)
-        if unit == "points":
-            tolerance = max(tolerance, TOLERANCE_POINTS)
+        widest = tolerance(paper or 0.0, PERCENT if unit == "points" else unit)
         rows.append(
             {
                 "number": number,
@@ -231,7 +220,7 @@ def _scatter_table(found: Sequence[Numbers]) -> pd.DataFrame:
                 "median": median,
                 "high": high,
                 "scatter": (high - low) / 2,
-                "allowance": max((high - low) / 2, tolerance),
+                "allowance": max((high - low) / 2, widest),
             }
         )
     return pd.DataFrame(rows)
@@ -239,12 +228,7 @@ def _scatter_table(found: Sequence[Numbers]) -> pd.DataFrame:
 
 def _stacked(found: Sequence[Numbers]) -> dict[str, Floats]:
     """Numbers of several seas, (seas,) each."""
-    names = [name for name in found[0] if name != FAILED]
-    return {name: np.array([float(one[name]) for one in found]) for name in names}
-
-
-def _papers() -> dict[str, float]:
-    return {one.name: one.paper for one in search_settings().number if not one.at_most}
+    return {name: np.array([float(one[name]) for one in found]) for name in found[0]}
 
 
 def _effect(one: Alternative, nominal: ParameterSet, of: Mapping[HeadlineRun, Numbers]) -> _Effect:
@@ -252,55 +236,53 @@ def _effect(one: Alternative, nominal: ParameterSet, of: Mapping[HeadlineRun, Nu
         return _Effect(f"cannot be set: {one.refusal}")
     seas = offsets(one.field)
     usual = [loops(nominal, one.field, offset) for offset in seas]
-    seconds = usual[0].parameters.simulation.duration
-    before = [of[run] for run in usual]
+    before = _stacked([of[run] for run in usual])
     if one.field == REALISATIONS:
         many = _stacked([of[loops(nominal, "", offset)] for offset in range(one.value)])
-        median: Numbers = {name: np.array(np.median(values)) for name, values in many.items()}
-        failed = {FAILED: np.array(max(int(run[FAILED]) for run in before))}
-        return _Effect(MEASURED, before, [{**median, **failed}] * len(seas), seconds)
-    after = [of[loops(one.parameters, one.field, offset)] for offset in seas]
-    reasons = [str(found["failure"]) for found in after if "failure" in found]
-    if reasons:
-        return _Effect(f"cannot run: {reasons[0]}")
-    return _Effect(MEASURED, before, after, seconds)
+        after = {name: np.full(len(seas), np.median(values)) for name, values in many.items()}
+        after[FAILED] = before[FAILED]
+    else:
+        found = [of[loops(one.parameters, one.field, offset)] for offset in seas]
+        for numbers in found:
+            if "failure" in numbers:
+                return _Effect(f"cannot run: {numbers['failure']}")
+        after = _stacked(found)
+    return _Effect(MEASURED, before, after, usual[0].parameters.simulation.duration)
 
 
 def _effect_table(
-    found: Sequence[tuple[Alternative, _Effect]], numbers: Sequence[str]
+    found: Sequence[tuple[Alternative, _Effect]], scatter: pd.DataFrame
 ) -> pd.DataFrame:
     """A row for each alternative and number.
 
     ``nominal``, ``alternative`` and ``difference`` are means over the seas, ``low`` and
     ``high`` the least and the largest difference in one of them.
     """
-    papers = _papers()
+    none = np.full(1, np.nan)
     rows = []
     for one, effect in found:
-        before, after = (
-            _stacked(numbers) if numbers else {} for numbers in (effect.nominal, effect.other)
-        )
-        none = np.full(1, np.nan)
-        for number in numbers:
-            usual, other = before.get(number, none), after.get(number, none)
+        for of_number in scatter.to_dict("records"):
+            usual, other = (
+                numbers.get(of_number["number"], none) for numbers in (effect.nominal, effect.other)
+            )
             difference = other - usual
             rows.append(
                 {
                     "point": one.point,
                     "field": one.field,
                     "value": one.written,
-                    "number": number,
-                    "group": group_of(number),
+                    "number": of_number["number"],
+                    "group": of_number["group"],
                     "status": effect.status,
-                    "seas": len(after and difference),
+                    "seas": len(difference) if effect.other else 0,
                     "seconds": effect.seconds,
                     "nominal": usual.mean(),
                     "alternative": other.mean(),
                     "difference": difference.mean(),
                     "low": difference.min(),
                     "high": difference.max(),
-                    "paper": papers.get(number),
-                    "solves_failed": effect.solves_failed,
+                    "paper": of_number["paper"],
+                    "solves_failed": int(max(effect.other.get(FAILED, [0]))),
                 }
             )
     return pd.DataFrame(rows)

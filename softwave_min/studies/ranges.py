@@ -1,4 +1,4 @@
-"""The values that the paper leaves open: their plausible ranges, and sets with others of them."""
+"""Plausible ranges of the parameters that the paper leaves open, and sets with others of them."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ SIGNIFICANT_DIGITS = 4
 
 
 @validated(frozen=True, config=ConfigDict(extra="forbid"))
-class OpenValue:
-    """A value that the paper does not state."""
+class PlausibleRange:
+    """The plausible range of a parameter that the paper does not state."""
 
     field: str
     """Section and name in the parameter set, or 'gradation'."""
@@ -29,7 +29,8 @@ class OpenValue:
     low: Positive
     high: Positive
     scale: Literal["linear", "log"]
-    ambiguity: str
+    open_point: str
+    """Id of the point that it belongs to."""
     argument: str
     """Why the range is plausible."""
 
@@ -46,13 +47,20 @@ class OpenValue:
         return (value - self.low) / (self.high - self.low)
 
 
-def open_values() -> tuple[OpenValue, ...]:
-    """The values that are searched, with their ranges."""
-    return load_data(dict[str, tuple[OpenValue, ...]], "studies/open_values.toml")["value"]
+def plausible_ranges() -> tuple[PlausibleRange, ...]:
+    """The ranges that are searched."""
+    return load_data(dict[str, tuple[PlausibleRange, ...]], "studies/plausible_ranges.toml")[
+        "range"
+    ]
+
+
+def open_fields() -> list[str]:
+    """Fields of the open parameters, in the order of their ranges."""
+    return [one.field for one in plausible_ranges()]
 
 
 def value_in(parameters: ParameterSet, field: str) -> float:
-    """Value of an open field: that of a plain number, or the geometric mean over segments."""
+    """Value of an open parameter: that of a plain number, or the geometric mean over segments."""
     if field == GRADATION:
         gains = parameters.baseline.proportional_gain
         return float((gains[0] / gains[-1]) ** (1 / max(len(gains) - 1, 1)))
@@ -64,7 +72,7 @@ def value_in(parameters: ParameterSet, field: str) -> float:
 
 
 def with_values(parameters: ParameterSet, values: Mapping[str, float]) -> ParameterSet:
-    """The parameters with other values of open fields, alike in all segments.
+    """The parameters with other values of open parameters, alike in all segments.
 
     The proportional gains fall geometrically from the base to the tip by ``gradation``.
     """

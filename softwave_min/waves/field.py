@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+import scipy  # whose parts are loaded when they are used
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import factorial, gammainc, gammaincc
 
 from softwave_min.parameters import SeaParameters
 from softwave_min.waves.dispersion import wave_number
@@ -205,8 +205,8 @@ class Sea:
         """
         n = np.arange(space_order + 1)
         m = np.arange(time_order + 1)
-        in_space = (-1j * self.wave_number[:, None]) ** n / factorial(n)
-        in_time = (1j * self.angular_frequency[:, None]) ** m / factorial(m)
+        in_space = (-1j * self.wave_number[:, None]) ** n / scipy.special.factorial(n)
+        in_time = (1j * self.angular_frequency[:, None]) ** m / scipy.special.factorial(m)
         powers = (in_space[:, :, None] * in_time[:, None, :]).reshape(-1, len(n) * len(m))
         x, z = centre
         # cos = (exp + exp)/2; the half that grows with depth is written with exp(-2 k d) in it
@@ -251,10 +251,10 @@ class Sea:
         """
         reach = self.wave_number * radius
         kept_time = time_order - time_derivative
-        cut_space = np.exp(reach) * gammainc(space_order + 1, reach)
-        kept_space = np.exp(reach) * gammaincc(space_order + 1, reach)
+        cut_space = np.exp(reach) * scipy.special.gammainc(space_order + 1, reach)
+        kept_space = np.exp(reach) * scipy.special.gammaincc(space_order + 1, reach)
         turn = self.angular_frequency * half_interval
-        cut_time = turn ** (kept_time + 1) / factorial(kept_time + 1)
+        cut_time = turn ** (kept_time + 1) / scipy.special.factorial(kept_time + 1)
         speed = self.amplitude * self.angular_frequency ** (1 + time_derivative)
         strength = speed * self._profiles(centre[1])[0]
         return float(strength @ (cut_space + kept_space * cut_time))

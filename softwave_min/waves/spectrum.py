@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+import scipy  # whose parts are loaded when they are used
 from numpy.typing import ArrayLike, NDArray
-from scipy.integrate import quad
 
 WIDTH_BELOW_PEAK = 0.07
 WIDTH_ABOVE_PEAK = 0.09
@@ -171,8 +171,8 @@ def _shape_integral(gamma: float) -> float:
         return float(_enhancement(np.asarray((-0.8 * math.log(v)) ** -0.25), gamma))
 
     peak = math.exp(-1.25)
-    below, _ = quad(integrand, 0.0, peak, epsabs=1e-13, epsrel=1e-13)
-    above, _ = quad(integrand, peak, 1.0, epsabs=1e-13, epsrel=1e-13)
+    below, _ = scipy.integrate.quad(integrand, 0.0, peak, epsabs=1e-13, epsrel=1e-13)
+    above, _ = scipy.integrate.quad(integrand, peak, 1.0, epsabs=1e-13, epsrel=1e-13)
     return (below + above) / 5
 
 

@@ -14,10 +14,10 @@ from softwave_min.arm import LOAD_TERMS, Arm, Structure, Values, mechanics, pack
 from softwave_min.waves import Sea
 
 
-def uniform_flow(structure: Structure, u: float, w: float) -> np.ndarray:
-    """A steady current."""
+def uniform_flow(structure: Structure, u: float, w: float, *, rate: int = 0) -> np.ndarray:
+    """A steady current, or with ``rate`` = 1 one that grows from rest by (u, w) a second."""
     coefficients = np.zeros((structure.space_order + 1, structure.time_order + 1), dtype=complex)
-    coefficients[0, 0] = u - 1j * w
+    coefficients[0, rate] = u - 1j * w
     return pack_flow(coefficients)
 
 
@@ -69,6 +69,12 @@ def drag_per_length(fluid, diameter):
     return fluid.density / 2 * diameter * fluid.drag_coefficient
 
 
+def inertia_per_length(fluid, diameter):
+    """Of the water's acceleration alone: in the paper's reading there is none."""
+    displaced = fluid.density * np.pi * diameter**2 / 4
+    return fluid.inertia_coefficient * displaced if fluid.morison == "textbook" else 0.0
+
+
 @pytest.mark.parametrize("morison", MODES)
 @pytest.mark.parametrize("angle", [0.0, 0.4, -np.pi / 2, 2.5])
 def test_straight_arm_in_a_steady_current(morison, angle):
@@ -111,8 +117,7 @@ def test_level_straight_arm_in_a_regular_wave(morison):
     length = arm.parameters.length
     strength = drag_per_length(fluid, 0.05)
     exact(loads["drag_normal"], strength * segment_loads(length, drag))
-    section = fluid.density * np.pi * 0.05**2 / 4
-    inertia = fluid.inertia_coefficient * section if morison == "textbook" else 0.0
+    inertia = inertia_per_length(fluid, 0.05)
     np.testing.assert_allclose(
         loads["fluid_inertia"], inertia * segment_loads(length, rise), rtol=1e-8, atol=1e-12
     )
@@ -144,8 +149,7 @@ def test_pile_in_a_regular_wave(morison):
         length, lambda m, a, b: (cosh(m, a, b, 2 * k) + power_moment(m, a, b)) / 2
     )
     exact(loads["drag_normal"], -drag_per_length(fluid, 0.05) * u**2 * squared)
-    section = fluid.density * np.pi * 0.05**2 / 4
-    inertia = fluid.inertia_coefficient * section if morison == "textbook" else 0.0
+    inertia = inertia_per_length(fluid, 0.05)
     plain = segment_loads(length, lambda m, a, b: cosh(m, a, b, k))
     np.testing.assert_allclose(loads["fluid_inertia"], -inertia * du * plain, rtol=1e-8, atol=1e-12)
 
@@ -171,9 +175,8 @@ def test_pressure_along_a_segment():
     """The same arm in water that accelerates upwards: rho V dw/dt, without C_m."""
     fluid = water("textbook")
     arm = Arm(uniform(2, length=(0.3, 0.5)), fluid)
-    coefficients = np.zeros((arm.structure.space_order + 1, arm.structure.time_order + 1), complex)
-    coefficients[0, 1] = -2.5j
-    loads = arm.load_terms([np.pi / 2, 0.0], np.zeros(2), pack_flow(coefficients))
+    flow = uniform_flow(arm.structure, 0.0, 2.5, rate=1)
+    loads = arm.load_terms([np.pi / 2, 0.0], np.zeros(2), flow)
     force = displaced_mass(arm.parameters, fluid)[1] * 2.5
     rise = 0.3 * (1 - 2 / np.pi) / (np.pi / 2)
     assert loads["fluid_inertia"][0, 1] == pytest.approx(force * rise, rel=1e-12)

@@ -20,7 +20,7 @@ from typing import Any
 import pytest
 import yaml
 from book_browser import served, tab
-from book_pages import Page, pages, problems
+from book_pages import Page, pages, problems, words
 from browser import browser_executable
 from playwright.sync_api import Browser, sync_playwright
 
@@ -40,6 +40,7 @@ def load(path: Path) -> ModuleType:
 
 
 builder = load(BOOK / "build.py")
+sys.path.insert(0, str(BOOK / "_ext"))
 drawing = load(BOOK / "_ext" / "drawing.py")
 quoted = load(BOOK / "_ext" / "quoted.py")
 
@@ -120,25 +121,25 @@ def test_the_film_plays_unless_the_reader_wants_less_motion(
 
 
 def test_the_film_has_both_formats_and_a_poster() -> None:
-    (film,) = content("index.html").content.all("video")
-    sources = [source.attributes["src"] for source in film.all("source")]
+    (film,) = content("index.html").content.find_all("video")
+    sources = [source["src"] for source in film.find_all("source")]
     assert [Path(source).suffix for source in sources] == [".webm", ".mp4"]
-    assert film.attributes["poster"].endswith(".svg")
-    for name in (*sources, film.attributes["poster"]):
+    assert film["poster"].endswith(".svg")
+    for name in (*sources, film["poster"]):
         original = ROOT / "results" / "example_case" / Path(name).name
         assert (SITE / name).read_bytes() == original.read_bytes()
 
 
 def test_the_film_says_what_the_code_wrote_of_it() -> None:
-    words = drawing.described(ROOT / "results" / "example_case" / "headline")
-    (film,) = content("index.html").content.all("video")
-    assert film.attributes["aria-label"] == words["alt"]
-    assert words["caption"] in film.parent.text
+    said = drawing.described(ROOT / "results" / "example_case" / "headline")
+    (film,) = content("index.html").content.find_all("video")
+    assert film["aria-label"] == said["alt"]
+    assert said["caption"] in words(film.parent)
 
 
 def test_the_title_page_quotes_the_table() -> None:
     table = ROOT / "results" / "example_case" / "example_case.csv"
-    text = content("index.html").content.text
+    text = words(content("index.html").content)
     for sea in ("jonswap", "measured"):
         for controller in ("baseline", "nmpc"):
             cell = quoted.cell(table, f"{sea}/{controller}", "rmse")
@@ -164,8 +165,8 @@ def test_names_that_are_not_in_the_package_are_noticed() -> None:
 
 
 def test_every_symbol_is_on_the_page_of_notation() -> None:
-    words = [formula.text for formula in content("notation.html").formulas]
-    assert {rf"\({one['symbol']}\)" for one in SYMBOLS} <= set(words)
+    shown = {formula.text for formula in content("notation.html").formulas}
+    assert {rf"\({one['symbol']}\)" for one in SYMBOLS} <= shown
 
 
 def resolve(place: str) -> Any:
@@ -227,13 +228,10 @@ def test_what_cannot_be_quoted_or_shown_fails_the_build(tmp_path: Path) -> None:
     (source / "results" / "e" / "provenance.json").write_text(
         '{"figures": {"a": {"caption": "A.", "alt": "A."}}}', encoding="utf-8"
     )
-    (tmp_path / "data").mkdir()
-    (tmp_path / "data" / "p.toml").write_text("list = [1.0]\n", encoding="utf-8")
-    (tmp_path / "data" / "notation.toml").write_text("", encoding="utf-8")
     (source / "index.md").write_text(
-        "# Page\n\nGood: {value}`t.csv:row:a:`, {parameter}`p.toml:list.0:.1f`.\n\n"
+        "# Page\n\nGood: {value}`t.csv:row:a:`, {parameter}`paper/poses.toml:P1.0:.1f`.\n\n"
         "{value}`none.csv:row:a:` {value}`t.csv:row:b:` {value}`t.csv:row:a:.1f` {value}`t.csv`\n"
-        "{parameter}`p.toml:list.1:` {parameter}`p.toml:none:`\n\n"
+        "{parameter}`paper/poses.toml:P1.2:` {parameter}`paper/poses.toml:none:`\n\n"
         "```{drawing} none/a\n```\n\n```{drawing} e/none\n```\n\n```{drawing} e/a\n```\n\n"
         "```{notation} none\n```\n",
         encoding="utf-8",
@@ -252,8 +250,8 @@ def test_what_cannot_be_quoted_or_shown_fails_the_build(tmp_path: Path) -> None:
         "none.csv",
         "t.csv:row:b",
         "text",
-        "list.1",
-        "'p.toml:none:'",
+        "P1.2",
+        "'paper/poses.toml:none:'",
         "none/",
         "'none' of e",
         "e/a.svg",

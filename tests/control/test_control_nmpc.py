@@ -13,8 +13,9 @@ from scipy.optimize import lsq_linear
 from softwave_min.arm import Arm
 from softwave_min.control.baseline import InnerLoop
 from softwave_min.control.compiled.engine import Engine
-from softwave_min.control.nmpc import GaussNewton, Problem, Status
+from softwave_min.control.nmpc import GaussNewton
 from softwave_min.control.preview import Forecast
+from softwave_min.control.problem import Problem, Status
 from softwave_min.native import compiler
 from softwave_min.paper.cases import poses, wave_cases
 from softwave_min.parameters import FailureParameters

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from softwave_min.control.compiled.engine import Engine
-from softwave_min.control.nmpc import GaussNewton, Problem, Solution, Status
+from softwave_min.control.nmpc import GaussNewton
 from softwave_min.control.preview import Forecast, Preview
+from softwave_min.control.problem import Problem, Solution, Status
 from softwave_min.figures.example_case import mark_failures
 from softwave_min.native import compiler
 from softwave_min.paper.cases import poses

@@ -8,8 +8,9 @@ import pytest
 
 from softwave_min.control.baseline import KinematicPlanner
 from softwave_min.control.compiled.engine import Engine
-from softwave_min.control.nmpc import GaussNewton, Status
+from softwave_min.control.nmpc import GaussNewton
 from softwave_min.control.predictor import PeriodSteps, stage_function
+from softwave_min.control.problem import Status
 from softwave_min.control.reference import interior_point
 from softwave_min.control.reference.convex import ConvexPlanner, sqp_step
 from softwave_min.control.reference.interior_point import InteriorPoint, transition_function

@@ -5,26 +5,24 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from segments import with_segments
 
 from softwave_min.arm import pack_flow
 from softwave_min.experiments import ablations
+from softwave_min.experiments.ablation_loops import BASELINE, NMPC, loop_of, varied
 from softwave_min.experiments.ablations import (
-    BASELINE,
     HORIZONS,
-    NMPC,
     POSE_PAIRS,
-    SEEDS,
-    PathRun,
+    SEAS,
+    half_grid,
     integral_gain,
-    loop_of,
-    path_variants,
-    places,
+    pose_ablations,
     runs,
+    star_ablations,
     tabulate,
-    variants,
-    varied,
 )
-from softwave_min.experiments.zero_order_hold import held_flow, simulate_told
+from softwave_min.experiments.star_path import StarParameters
+from softwave_min.experiments.zero_order_hold import hold_flow, simulate_with_hold
 from softwave_min.figures.ablations import draw
 from softwave_min.paper.cases import poses, wave_cases
 from softwave_min.runs.identity import as_plain
@@ -64,7 +62,7 @@ def settled(loop):
 
 
 def of(parameters, name):
-    return next(one for one in variants(parameters) if one.name == name)
+    return next(one for one in pose_ablations(parameters) if one.name == name)
 
 
 # --- fairer opponents -------------------------------------------------------------------
@@ -169,16 +167,16 @@ def test_the_feedforward_knows_no_more_than_it_is_told(nominal):
 
 def test_holding_the_flow_is_exact_where_it_does_not_change(nominal):
     scenario = in_current(nominal, (0.2, 0.2), duration=3.0)
-    held = simulate_told(scenario, held_flow)
+    held = simulate_with_hold(scenario, hold_flow)
     np.testing.assert_allclose(held.q, simulate(scenario, "nmpc").q, atol=1e-8)
 
 
 def test_each_step_of_knowledge_lowers_the_error(nominal):
     medians = []
     for name in ("preview_exact", "preview_present", "preview_none"):
-        variant = of(nominal, name)
+        ablation = of(nominal, name)
         errors = [
-            settled(loop_of(scenario_of(nominal, *variant.changes, seed=seed), variant))
+            settled(loop_of(scenario_of(nominal, *ablation.changes, seed=seed), ablation))
             for seed in (1, 2, 3)
         ]
         medians.append(np.median(errors))
@@ -207,9 +205,9 @@ def test_a_longer_horizon_helps_until_the_arm_forgets(nominal):
 
 def test_a_variant_changes_what_it_names_and_nothing_else(nominal):
     plain = as_plain(nominal)
-    for variant in (*variants(nominal), *path_variants(nominal)):
-        named = {field for field, _ in variant.changes}
-        other = as_plain(varied(nominal, variant.changes))
+    for ablation in (*pose_ablations(nominal), *star_ablations(nominal)):
+        named = {field for field, _ in ablation.changes}
+        other = as_plain(varied(nominal, ablation.changes))
         changed = {
             f"{section}.{name}"
             for section, fields in plain.items()
@@ -217,15 +215,17 @@ def test_a_variant_changes_what_it_names_and_nothing_else(nominal):
             if other[section][name] != value
         }
         assert changed == named
-        assert (not named) == (variant.held_flow or variant.name in {NMPC, BASELINE, "period_1"})
-    names = [variant.name for variant in variants(nominal)]
+        assert (not named) == (
+            ablation.flow_on_hold or ablation.name in {NMPC, BASELINE, "period_1"}
+        )
+    names = [ablation.name for ablation in pose_ablations(nominal)]
     assert len(set(names)) == len(names)
-    assert {variant.rival for variant in variants(nominal)} <= set(names)
+    assert {ablation.rival for ablation in pose_ablations(nominal)} <= set(names)
 
 
 def test_slow_control_looks_as_far_ahead_and_weighs_the_same(nominal):
-    for variant in path_variants(nominal):
-        one, was = varied(nominal, variant.changes).nmpc, nominal.nmpc
+    for ablation in star_ablations(nominal):
+        one, was = varied(nominal, ablation.changes).nmpc, nominal.nmpc
         assert one.horizon * one.control_period == pytest.approx(was.horizon * was.control_period)
         assert one.control_period / one.substeps == pytest.approx(was.control_period / was.substeps)
         assert one.step_weight * one.control_period**2 == pytest.approx(
@@ -234,22 +234,22 @@ def test_slow_control_looks_as_far_ahead_and_weighs_the_same(nominal):
 
 
 def test_the_half_grid_is_balanced(nominal):
-    found = list(places(nominal))
-    seas = {(one.wave, one.significant_height, one.parameters.sea.seed) for one in found}
-    assert len(seas) == len(wave_cases()) * len(ablations.HEIGHTS) * SEEDS
-    assert len(found) == 2 * len(seas) == len({one.name for one in found})
+    found = list(half_grid(nominal))
+    seas = {(one.wave, one.height, one.seed) for one in found}
+    assert len(seas) == len(wave_cases()) * len(ablations.HEIGHTS) * SEAS
+    assert len(found) == 2 * len(seas) == len({one.run_name() for one in found})
     x, z = (dict(zip(poses(), axis, strict=True)) for axis in zip(*poses().values(), strict=True))
     for near, far in POSE_PAIRS:
         assert x[near] < x[far]
         assert z[near] != z[far]
     for pose in ("P1", "P3", "P4", "P6"):
         mine = [one for one in found if one.pose == pose]
-        assert {(one.wave, one.significant_height) for one in mine} == {
+        assert {(one.wave, one.height) for one in mine} == {
             (wave, height) for wave in wave_cases() for height in ablations.HEIGHTS
         }
         assert abs(len(mine) - len(found) / 4) <= 1
     assert {one.parameters.preview.seed for one in found} == {
-        nominal.preview.seed + k for k in range(SEEDS)
+        nominal.preview.seed + k for k in range(SEAS)
     }
 
 
@@ -262,16 +262,16 @@ def series(run):
     """Made-up arrays: constant errors, larger in the start and in other seas alike."""
     sea = run.parameters.parameters.sea
     found = {}
-    for variant in run.parameters.variants:
-        level = LEVEL.get(variant.name, 2.0) * sea.significant_height * (1 + sea.seed)
-        if isinstance(run.parameters, PathRun):
+    for ablation in run.parameters.ablations:
+        level = LEVEL.get(ablation.name, 2.0) * sea.significant_height * (1 + sea.seed)
+        if isinstance(run.parameters.target, StarParameters):
             level *= sea.peak_period
         error = np.full(STEPS + 1, level)
         error[:3] = 50.0
         found |= {
-            f"{variant.name}_error": error,
-            f"{variant.name}_status": np.zeros(STEPS, int),
-            f"{variant.name}_source": np.zeros(STEPS, int),
+            f"{ablation.name}_error": error,
+            f"{ablation.name}_status": np.zeros(STEPS, int),
+            f"{ablation.name}_source": np.zeros(STEPS, int),
         }
     return found
 
@@ -279,13 +279,13 @@ def series(run):
 @pytest.fixture(scope="module")
 def tables(nominal):
     arrays = {run.name: series(run) for run in runs(nominal)}
-    arrays["W1-P1-0_5-1"]["preview_none_status"][7] = 1
+    arrays["W1-P1-050cm-1"]["preview_none_status"][7] = 1
     return tabulate(nominal, arrays)
 
 
 def test_the_tables_compare_with_the_right_loops(nominal, tables):
     cells, summary = tables["ablations"], tables["summary"]
-    assert len(cells) == len(variants(nominal)) * len(list(places(nominal)))
+    assert len(cells) == len(pose_ablations(nominal)) * len(list(half_grid(nominal)))
     one = cells[cells.variant == "preview_none"].iloc[0]
     assert one.ratio_nmpc_settled == pytest.approx(3.0)
     assert one.ratio_baseline_settled == pytest.approx(0.75)
@@ -311,6 +311,18 @@ def test_the_range_over_the_periods_is_that_of_each_sea(tables):
     settled_rows = spreads[spreads.window == "settled"]
     np.testing.assert_allclose(settled_rows.spread[settled_rows.control_period < 0.2], expected)
     assert (spreads.spread_least <= spreads.spread).all()
+
+
+@pytest.mark.parametrize("segments", [2, 4, 5])
+def test_arms_of_any_number_of_segments_have_ablations(nominal, segments):
+    short = varied(with_segments(nominal, segments), (("simulation.duration", 0.3),))
+    first, *_, last = runs(short)
+    for run in (first, last):
+        found = run.compute(run.parameters)
+        for ablation in run.parameters.ablations:
+            assert np.isfinite(found[f"{ablation.name}_error"]).all()
+    made_up = {run.name: series(run) for run in runs(short)}
+    assert not tabulate(short, made_up)["summary"].isna().any(axis=None)
 
 
 def test_every_figure_says_how_many_solves_failed(nominal, tables):

@@ -5,9 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softwave_min.experiments import actuator_failure, error_ratio, random_seas
-from softwave_min.experiments.closed_loop import SUMMARY_FIELDS, LoopRun, closed_loops
-from softwave_min.experiments.random_seas import SEEDS, in_many_seas, runs, tabulate
+from softwave_min.experiments import error_ratio
+from softwave_min.experiments.closed_loop import (
+    SUMMARY_FIELDS,
+    LoopRun,
+    closed_loops,
+    errors_alone,
+)
+from softwave_min.experiments.failures import INTACT, PAPERS_CASE
+from softwave_min.experiments.random_seas import SEEDS, runs, tabulate
 
 SEAS = 3
 STEPS = 200
@@ -38,8 +44,11 @@ def series(run):
 
 
 def test_twenty_seas_unless_asked_otherwise(nominal, parameters):
-    assert in_many_seas(nominal).sea.realisations == SEEDS >= 20
-    assert in_many_seas(parameters).sea.realisations == SEAS
+    def seas(asked):
+        return {run.parameters.parameters.sea.seed for run in runs(asked)}
+
+    assert len(seas(nominal)) == SEEDS >= 20
+    assert len(seas(parameters)) == SEAS
 
 
 def test_every_closed_loop_is_run_once(parameters):
@@ -58,7 +67,7 @@ def test_every_closed_loop_is_run_once(parameters):
 def test_what_is_kept_of_a_loop_is_what_the_sweep_has(nominal):
     brief = replace(nominal, simulation=replace(nominal.simulation, duration=0.5))
     run = LoopRun(brief, ((0.7, -3.7),))
-    whole, kept = closed_loops(run), random_seas.errors(run)
+    whole, kept = closed_loops(run), errors_alone(run)
     assert {name.partition("_")[2] for name in kept} == set(SUMMARY_FIELDS)
     for name, array in kept.items():
         np.testing.assert_array_equal(array, whole[name])
@@ -69,13 +78,13 @@ def test_tables_cover_all_seas_and_agree_with_the_experiments(parameters):
     tables = tabulate(parameters, arrays)
     grid = tables["error_ratio"]
     assert len(grid) == 108 * SEAS
-    np.testing.assert_allclose(grid["ratio"], 0.25)
-    own = {cell.name: series(cell.run) for cell in error_ratio.cells(parameters)}
-    assert grid.equals(error_ratio.cell_table(parameters, own))
+    np.testing.assert_allclose(grid["ratio_nmpc"], 0.25)
+    own = {run.name: series(run) for run in error_ratio.runs(parameters)}
+    assert grid.equals(error_ratio.grid_table(parameters, own))
     failure = tables["actuator_failure"]
-    assert set(failure["case"]) == {actuator_failure.INTACT, actuator_failure.PAPERS_CASE}
-    failed = failure[failure["case"] == actuator_failure.PAPERS_CASE]
-    np.testing.assert_allclose(failed["rise_percent"], 50.0)
+    assert set(failure["case"]) == {INTACT, PAPERS_CASE}
+    failed = failure[failure["case"] == PAPERS_CASE]
+    np.testing.assert_allclose(failed["rise_percent_nmpc"], 50.0)
     assert tables["star"]["seed"].nunique() == SEAS
     reductions = tables["reductions"]
     np.testing.assert_allclose(reductions[reductions["quantity"] == "largest"]["median"], 75.0)

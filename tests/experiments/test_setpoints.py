@@ -8,24 +8,27 @@ import numpy as np
 import pytest
 
 from softwave_min.arm import Arm
-from softwave_min.experiments.setpoints import (
-    CASES,
+from softwave_min.experiments.failures import failure_cases
+from softwave_min.experiments.resting_arm import (
     CELL,
-    EXPERIMENT,
     REACHED,
     RestingArm,
+    RestRun,
     area,
     at_rest,
     nearest_posture,
     reach,
     workspace,
 )
+from softwave_min.experiments.setpoints import EXPERIMENT
 from softwave_min.figures.setpoints import draw, outlines
 from softwave_min.figures.style import apply, svg
 from softwave_min.paper.cases import poses
+from softwave_min.parameters import parameter_set
 from softwave_min.runs.store import Store
 
 BOUND = math.pi
+CASES = failure_cases(parameter_set())
 
 
 @pytest.fixture(scope="module")
@@ -187,7 +190,7 @@ def arrays(nominal, short):
         for run in EXPERIMENT.runs(nominal)
         if run.name.startswith("reach")
     }
-    loop = at_rest(CASES["mid_passive"].of(short))
+    loop = at_rest(RestRun(CASES["mid_passive"].of(short), tuple(poses().values())))
     return {**found, **{f"rest-{case}": loop for case in CASES}}
 
 
@@ -211,8 +214,8 @@ def test_all_poses_are_within_reach_of_the_intact_arm_and_not_of_the_failed(tabl
 
 def test_no_posture_of_the_controller_beats_the_least_squares(tables, arrays):
     mid = tables["setpoints"].query("case == 'mid_passive'")
-    held = arrays["rest-mid_passive"]
-    bounded = np.abs(np.delete(held["q"], 1, axis=1)).max(axis=1) <= BOUND
+    rest = arrays["rest-mid_passive"]
+    bounded = np.abs(np.delete(rest["q"], 1, axis=1)).max(axis=1) <= BOUND
     assert (mid["error"] >= mid["distance_left"] - 2e-3)[bounded].all()
 
 

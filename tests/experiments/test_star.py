@@ -8,24 +8,22 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
+from segments import with_segments
 
-from softwave_min.control.nmpc import Status
+from softwave_min.control.problem import Status
 from softwave_min.data import ParameterError
 from softwave_min.experiments.closed_loop import TRANSIENT
-from softwave_min.experiments.star import (
-    CONTROLLERS,
-    EXPERIMENT,
+from softwave_min.experiments.star import EXPERIMENT, choice, headline, period_spread
+from softwave_min.experiments.star_loops import (
     METRICS,
     STILL,
     StarRun,
-    choice,
+    closing_time,
     follow,
-    headline,
     in_still_water,
     inner_loop_time,
     measures,
-    period_spread,
-    scenario_of,
+    scenario_on_star,
 )
 from softwave_min.experiments.star_path import (
     StarParameters,
@@ -36,6 +34,7 @@ from softwave_min.experiments.star_path import (
 from softwave_min.figures.star import draw
 from softwave_min.figures.style import apply, svg
 from softwave_min.parameters import validate
+from softwave_min.simulation import CONTROLLERS, BaselineController
 
 PENTAGRAM = math.cos(2 * math.pi / 5) / math.cos(math.pi / 5)
 STAR = StarParameters(
@@ -174,14 +173,14 @@ def test_a_star_that_one_stroke_cannot_draw_is_refused(points):
 # --- measures -----------------------------------------------------------------------------
 
 
-def series(offset, calm=(0.0, 0.0), steps=600, period=0.1):
-    """A tip that is off the path by a constant, and a calm one."""
-    target = star_path(STAR, period * np.arange(steps + 1))
-    return {"target": target, "W1_tip": target + offset, "still_tip": target + calm}
+PERIOD = 0.1
+TARGET = star_path(STAR, PERIOD * np.arange(601))
 
 
 def test_measures_of_a_constant_offset():
-    found = measures(STAR, series([0.03, -0.04], [0.03, 0.0]), "W1", 0.1)
+    found = measures(
+        STAR, TARGET, TARGET + np.array([0.03, -0.04]), TARGET + np.array([0.03, 0.0]), PERIOD
+    )
     assert set(found) == set(METRICS)
     for name in ("rmse", "rmse_settled", "largest", "largest_settled"):
         assert found[name] == pytest.approx(0.05)
@@ -193,23 +192,28 @@ def test_measures_of_a_constant_offset():
 
 
 def test_start_counts_in_the_whole_run_alone():
-    data = series([0.0, 0.0])
-    data["W1_tip"][0] += [3.0, 4.0]
-    found = measures(STAR, data, "W1", 0.1)
+    tip = TARGET.copy()
+    tip[0] += [3.0, 4.0]
+    found = measures(STAR, TARGET, tip, TARGET, PERIOD)
     assert found["rmse"] == pytest.approx(5 / math.sqrt(601))
     assert found["largest"] == pytest.approx(5.0)
     assert found["rmse_settled"] == found["largest_settled"] == 0.0
-    data["W1_tip"][round(TRANSIENT / 0.1)] += [0.0, 1.0]
-    assert measures(STAR, data, "W1", 0.1)["largest_settled"] == pytest.approx(1.0)
+    tip[round(TRANSIENT / PERIOD)] += [0.0, 1.0]
+    assert measures(STAR, TARGET, tip, TARGET, PERIOD)["largest_settled"] == pytest.approx(1.0)
 
 
 def test_being_late_costs_distance_but_no_cross_track():
-    data = series([0.0, 0.0])
-    data["W1_tip"] = np.roll(data["target"], 10, axis=0)
-    found = measures(STAR, data, "W1", 0.1)
+    found = measures(STAR, TARGET, np.roll(TARGET, 10, axis=0), TARGET, PERIOD)
     assert found["cross_track"] == pytest.approx(0.0, abs=1e-9)
     # one second late, and at most that far in a straight line: less around the corners
     assert 0.9 * STAR.speed < found["rmse"] <= STAR.speed
+
+
+def test_closing_is_the_first_time_below_a_part_of_the_start():
+    fading = np.exp(-PERIOD * np.arange(40) / 1.5)
+    offset = fading[:, None] * [0.3, 0.4]
+    assert closing_time(offset, PERIOD) == pytest.approx(1.6)
+    assert math.isnan(closing_time(offset[:15], PERIOD))
 
 
 # --- tables -------------------------------------------------------------------------------
@@ -265,7 +269,7 @@ def test_the_run_starts_fully_extended_and_follows(short):
 def test_path_goes_on_through_the_last_horizon(short):
     """Else the end of a run would look to the NMPC as if the target stopped."""
     star = replace(STAR, lap_duration=60.0)
-    scenario = scenario_of(short, star)
+    scenario = scenario_on_star(short, star)
     times = 0.1 * np.arange(121 + short.nmpc.horizon)
     np.testing.assert_allclose(scenario.targets, star_path(star, times))
 
@@ -331,6 +335,47 @@ def test_failed_solves_are_seen_in_the_figure(short, arrays, tables):
     ), short)["star_trajectory"]  # fmt: skip
     assert "crosses at the 2 solves" in marked.caption
     assert svg(marked) != svg(well["star_trajectory"])
+    plt.close("all")
+
+
+@pytest.mark.parametrize("segments", [2, 4, 5])
+def test_arms_of_any_number_of_segments_follow_the_star(short, segments):
+    """The NMPC takes the arm of two to a posture beside the star: no closing time."""
+    other = with_segments(short, segments)
+    found = {run.name: run.compute(run.parameters) for run in EXPERIMENT.runs(other)}
+    tables = EXPERIMENT.tabulate(other, found)
+    assert np.isfinite(tables["star"][list(METRICS)]).all(axis=None)
+    shelf = SimpleNamespace(load_run=lambda run: found[run.name], read_table=tables.get)
+    assert all(svg(drawing) for drawing in draw(shelf, other).values())
+    plt.close("all")
+
+
+def test_an_error_that_never_falls_is_a_gap_in_the_table(short, arrays):
+    """An arm that stays where it starts has no closing time, and all else in its row."""
+    calm = dict(arrays[STILL])
+    calm["nmpc_tip"] = np.tile(calm["nmpc_tip"][0], (len(calm["nmpc_tip"]), 1))
+    calm["nmpc_target"] = calm["nmpc_tip"] + [0.1, 0.0]
+    scales = EXPERIMENT.tabulate(short, {**arrays, STILL: calm})["time_scales"]
+    gaps = scales.columns[scales.isna().any()]
+    assert set(gaps) == {"closing", "peak_period_over_closing"}
+
+
+def test_a_third_controller_is_in_every_table_and_in_the_figure(short, arrays, monkeypatch):
+    monkeypatch.setitem(CONTROLLERS, "third", BaselineController)
+    run = EXPERIMENT.runs(short)[0]
+    calm = run.compute(run.parameters)
+    np.testing.assert_array_equal(calm["third_tip"], calm["baseline_tip"])
+    several = {
+        name: found | {key.replace("baseline", "third"): found[key] for key in found}
+        for name, found in arrays.items()
+    }
+    tables = EXPERIMENT.tabulate(short, several)
+    assert all("third" in set(table["controller"]) for table in tables.values())
+    shelf = SimpleNamespace(
+        load_run=lambda run: several[run.name], read_table=lambda stem: tables[stem]
+    )
+    _, labels = draw(shelf, short)["errors"].figure.axes[0].get_legend_handles_labels()
+    assert "third" in labels
     plt.close("all")
 
 

@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from segments import with_segments
 
-from softwave_min.experiments.star import scenario_of
 from softwave_min.experiments.star_drag import EXPERIMENT, LOADS, loaded
+from softwave_min.experiments.star_loops import scenario_on_star
 from softwave_min.paper.cases import wave_cases
 from softwave_min.parameters import parameter_set
 from softwave_min.simulation import root_mean_square_error, simulate
@@ -50,13 +51,14 @@ def test_errors_are_those_with_the_start_and_without():
     assert set(table["solves_failed"]) == {2}
 
 
-def test_the_table_has_the_error_of_each_loop():
-    nominal = parameter_set()
+@pytest.mark.parametrize("segments", [3, 2])
+def test_the_table_has_the_error_of_each_loop(segments):
+    nominal = with_segments(parameter_set(), segments)
     short = replace(nominal, simulation=replace(nominal.simulation, duration=11.0))
     runs = EXPERIMENT.runs(short)
     arrays = {run.name: run.compute(run.parameters) for run in runs}
     table = EXPERIMENT.tabulate(short, arrays)["star_drag"]
     for run, rmse in zip(runs, table["rmse"], strict=True):
-        loop = simulate(scenario_of(run.parameters.parameters, run.parameters.star), "nmpc")
+        loop = simulate(scenario_on_star(run.parameters.parameters, run.parameters.star), "nmpc")
         far = np.linalg.norm(loop.tips[:, -1] - loop.target, axis=1)
         assert rmse == pytest.approx(root_mean_square_error(far))

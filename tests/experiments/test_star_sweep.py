@@ -7,18 +7,15 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
+from segments import with_segments
 
 from softwave_min.experiments import star
-from softwave_min.experiments.star import METRICS, STILL, choice, follow, measures
-from softwave_min.experiments.star_sweep import (
-    EXPERIMENT,
-    TOLERANCE,
-    SweepRun,
-    try_variant,
-    variants,
-)
+from softwave_min.experiments.star import choice
+from softwave_min.experiments.star_loops import METRICS, STILL, follow, follow_swept, measures
+from softwave_min.experiments.star_sweep import EXPERIMENT, sweep_points
 from softwave_min.figures.star_sweep import draw
 from softwave_min.figures.style import apply, svg
+from softwave_min.paper.tolerance import SHARE
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +32,7 @@ def table(short):
 
 
 def test_sweep_holds_the_nominal_star_and_no_star_twice():
-    nominal, found = choice().path, variants()
+    nominal, found = choice().path, sweep_points()
     assert [one.star for one in found if one.previewed].count(nominal) == 1
     assert len({one.name for one in found}) == len(found)
     time = nominal.laps * nominal.lap_duration
@@ -55,12 +52,21 @@ def test_nominal_star_of_the_sweep_is_the_nominal_run(short, table):
         assert found == pytest.approx([nominal[metric][wave] for metric in METRICS], rel=1e-9)
 
 
+def test_arms_of_two_segments_follow_the_sweep(short):
+    two = with_segments(short, 2)
+    first, *others = EXPERIMENT.runs(two)
+    found = first.compute(first.parameters)
+    swept = EXPERIMENT.tabulate(two, {run.name: found for run in (first, *others)})["star_sweep"]
+    assert len(swept) == len(METRICS) * len(sweep_points())
+    assert np.isfinite(swept["deviation"]).all()
+
+
 def test_candidates_are_near_the_paper_in_every_sea(table):
     sweep, paper = table, pd.Series(choice().rmse)
     apart = (sweep[paper.index].astype(float) - paper).abs() / paper
     np.testing.assert_allclose(sweep.deviation, apart.max(axis=1))
     complete = sweep[paper.index].notna().all(axis=1)
-    assert (sweep.candidate == (complete & (apart <= TOLERANCE).all(axis=1))).all()
+    assert (sweep.candidate == (complete & (apart <= SHARE).all(axis=1))).all()
 
 
 def test_candidates_and_failed_solves_are_seen_in_the_figure(short, table):
@@ -82,11 +88,16 @@ def test_candidates_and_failed_solves_are_seen_in_the_figure(short, table):
 
 def test_other_seas_are_run_only_for_what_may_agree(short):
     """A hopeless star is seen in still water and one sea, a hopeful one in all."""
-    variant = next(one for one in variants() if one.star == choice().path)
-    run = SweepRun(short, variant, 3.0, (("W1", 50.0), ("W2", 50.0), ("W3", 50.0)))
-    hopeless = try_variant(run)
+
+    def swept(paper):
+        seas = tuple(replace(sea, paper=paper) for sea in run.seas)
+        return follow_swept(replace(run, seas=seas))
+
+    nominal = next(one.name for one in sweep_points() if one.star == choice().path)
+    run = next(one.parameters for one in EXPERIMENT.runs(short) if one.name == nominal)
+    hopeless = swept(50.0)
     assert {name for name in hopeless if name.endswith("tip")} == {"still_tip", "W3_tip"}
-    first = measures(variant.star, hopeless, "W3", 0.1)["rmse"]
-    hopeful = try_variant(replace(run, paper=(("W1", 50.0), ("W2", 50.0), ("W3", 1.1 * first))))
+    tips = hopeless["target"], hopeless["W3_tip"], hopeless["still_tip"]
+    hopeful = swept(1.1 * measures(run.star, *tips, 0.1)["rmse"])
     assert {"W1_tip", "W2_tip"} < hopeful.keys()
     np.testing.assert_array_equal(hopeful["W3_tip"], hopeless["W3_tip"])

@@ -1,6 +1,6 @@
 """Find a Chromium-like browser, or install one where that is possible.
 
-``python tests/browser.py`` does it ahead of the tests, so that they find one at once.
+``python tests/helpers/browser.py`` does it ahead of the tests, so that they find one at once.
 """
 
 from __future__ import annotations

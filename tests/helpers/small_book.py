@@ -11,6 +11,7 @@ from typing import Any
 from softwave_min.data import ROOT
 
 BOOK = ROOT / "book"
+MYST = ["attrs_inline", "colon_fence", "dollarmath"]
 FILTERED = {"html_static_path": [str(BOOK / "_static")], "html_js_files": ["claims.js"]}
 """Settings of a book whose tables can be filtered."""
 
@@ -20,6 +21,7 @@ def bound(folder: Path, extensions: Sequence[str], **settings: Any) -> tuple[Pat
     lines = [
         f"import sys\nsys.path.insert(0, {str(BOOK / '_ext')!r})",
         f"extensions = {list(extensions)!r}\nnumfig = True",
+        f"myst_enable_extensions = {MYST!r}",
         *(f"{name} = {value!r}" for name, value in settings.items()),
     ]
     (folder / "book" / "conf.py").write_text("\n".join(lines) + "\n")

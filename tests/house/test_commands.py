@@ -28,6 +28,7 @@ NOMINAL = data_folder() / "parameters" / "calibrated.toml"
 TARGETS = {
     "all", "results", "notebooks", "book", "figures", "lab", "bench", "verify", "lock", "clean",
     "help", "test", "environment", "mutation", "seeds", "audit", "calibration", "sensitivity",
+    "record", "lint",
 }  # fmt: skip
 
 
@@ -498,7 +499,7 @@ def test_a_python_too_old_is_one_clear_line(bare, version):
 def test_the_first_python_that_is_recent_enough_is_taken(bare):
     old = python_of_version(bare, "3.10")
     recipe = command(
-        "make", "-n", "environment", f"PYTHON=absent {old} {sys.executable}", folder=bare
+        "make", "-n", "environment", "UV=uv", f"PYTHON=absent {old} {sys.executable}", folder=bare
     )
     assert recipe.returncode == 0
     assert f'venv --quiet --python "{sys.executable}"' in recipe.stdout

@@ -13,9 +13,9 @@ from softwave_min.native import compiler
 from softwave_min.parameters import parameter_set
 from softwave_min.runs.executor import Processes
 from softwave_min.runs.store import Store
-from softwave_min.studies.bounded_solves import with_bounded_solves
+from softwave_min.studies.cells import with_bounded_solves
 from softwave_min.studies.headlines import headline_numbers
-from softwave_min.studies.ranges import open_values, value_in
+from softwave_min.studies.ranges import open_fields, plausible_ranges, value_in
 from softwave_min.studies.sensitivity import (
     NAME,
     SEA,
@@ -28,7 +28,7 @@ from softwave_min.studies.sensitivity import (
 )
 from softwave_min.studies.sensitivity.emulator import fitted, indices, indices_sample, resampled
 
-FIELDS = [value.field for value in open_values()]
+FIELDS = open_fields()
 TABLES = ("screening", "indices", "prediction")
 
 
@@ -110,7 +110,8 @@ def test_indices_of_ishigamis_function():
 def known(run):
     """Numbers that three values decide, the sea a little, and all others not."""
     shares = {
-        value.field: value.share(value_in(run.parameters, value.field)) for value in open_values()
+        value.field: value.share(value_in(run.parameters, value.field))
+        for value in plausible_ranges()
     }
     first, second, third = (shares[field] for field in DECISIVE)
     sea = 0.02 * (run.parameters.sea.seed % 3 - 1)
@@ -134,9 +135,9 @@ def small():
     return replace(
         settings,
         screening=replace(settings.screening, trajectories=4, candidates=8, resamples=20),
-        important=replace(settings.important, values=3),
+        important=3,
         design=replace(settings.design, sets=32, resamples=20, indices_sample=256),
-        draws=replace(settings.draws, sets=5),
+        draws=5,
     )
 
 
@@ -200,7 +201,7 @@ def test_seas_are_numbered_apart_and_noise_goes_with_them():
     base = parameter_set(settings.base)
     assert {one.sea for one in screened} == {*range(settings.screening.levels)}
     unseen = [one.sea for one in tested if one.drawn == samples.OTHER_SEA]
-    assert len(set(unseen)) == settings.draws.sets
+    assert len(set(unseen)) == settings.draws
     assert not set(unseen) & {one.sea for one in screened}
     for one in tested[:3]:
         found = one.run(settings).parameters.parameters
@@ -224,7 +225,7 @@ def test_elementary_effects_are_those_of_salib(finished):
     )
     levels = small().screening.levels
     factors = [*FIELDS, SEA]
-    of = {value.field: value for value in open_values()}
+    of = {value.field: value for value in plausible_ranges()}
     grid = np.array([[of[one].share(x) for x in evaluations[one]] for one in FIELDS])
     grid = np.column_stack([np.round(grid.T * levels - 0.5), evaluations[SEA]]) / (levels - 1)
     problem = {
@@ -257,7 +258,7 @@ def test_an_effect_is_left_out_if_one_of_its_sets_cannot_run(finished):
 def test_draws_and_what_belongs_to_them_are_left_out_together(finished):
     drawn = finished.read_table("draw_evaluations")
     drawn.loc[4, number_names(drawn)] = np.nan
-    kept = tables.judged(drawn, len(samples.DRAWN))
+    kept = tables.complete(drawn, len(samples.DRAWN))
     assert kept.index.tolist() == [0, 1, 2, *range(6, len(drawn))]
 
 
@@ -345,7 +346,7 @@ def test_the_tables_of_the_record_follow_from_its_evaluations():
 def test_an_evaluation_of_the_record_is_found_again():
     settings = study_settings()
     chosen = important(RECORD.read_table("screening"), settings)
-    row = tables.judged(RECORD.read_table("draw_evaluations")).iloc[0]
+    row = tables.complete(RECORD.read_table("draw_evaluations")).iloc[0]
     (one,) = (one for one in samples.draws(settings, chosen) if one.name == row["sample"])
     found = headline_numbers(one.run(settings).parameters)
     for number in number_names(row.to_frame().T):

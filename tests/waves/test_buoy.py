@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from softwave_min.data import ParameterError, data_folder
-from softwave_min.parameters import load_parameters
 from softwave_min.runs.identity import digest
 from softwave_min.waves import Sea
 from softwave_min.waves.records import measured_sea, named_records, read_ndbc, read_spectrum
@@ -19,11 +18,6 @@ BUOYS = data_folder() / "buoys"
 ARCHIVE = BUOYS / "41010w2019part.txt.gz"
 REAL_TIME = BUOYS / "41010.data_spec"
 HEADER = "#YY  MM DD hh mm  .0500  .1000  .2000"
-
-
-@pytest.fixture(scope="module")
-def parameters():
-    return load_parameters(data_folder() / "parameters" / "physical.toml").sea
 
 
 @pytest.fixture

@@ -1,22 +1,27 @@
 /* The NMPC's solver, the plant's integrator and the closed loop of both.
  *
- * The model comes from generated C beside this file, which takes several arguments at once
- * (control/lanes.py): `implicit_step` is a linearly implicit step of plant and predictor, taken
+ * Model and cost come from generated C beside this file, which takes several arguments at once
+ * (compiled/lanes.py): `implicit_step` is a linearly implicit step of plant and predictor, taken
  * by several columns of an extrapolation at once; `implicit_slopes` its derivatives,
- * `command_torque` what a command holds over a period and `period_end` what else the cost
- * needs, for several periods of the horizon at once. The algorithm is that of
- * control/nmpc.py and plant.py, which state it readably; here it runs without an
- * interpreter. Matrices are row-major, those of the model column-major.
+ * `command_torque` what a command holds over a period and `period_cost` the residuals of a
+ * period with their derivatives, for several periods of the horizon at once. The algorithm is
+ * that of control/nmpc.py and simulation/plant.py, which state it readably; here it runs without
+ * an interpreter. Matrices are row-major, those of the model column-major.
  */
 #include <math.h>
 
 typedef void model_function(const double *const *arg, double *const *res);
-extern model_function command_torque, implicit_step, implicit_slopes, period_end;
+extern model_function command_torque, implicit_step, implicit_slopes, period_cost;
 
-/* What the model's functions take at once: ABREAST columns, WIDE periods. */
+/* What the model's functions take at once: ABREAST columns, WIDE periods. The cost has so many
+ * RESIDUALS for each period. Their derivatives that are not always zero are SLOPES, residual by
+ * residual: those of residual r begin at SLOPE_STARTS[r], and slope s is by variable SLOPE_OF[s]
+ * of (q after the period, state before it, command, former command). */
 #ifndef ABREAST
-#error "ABREAST and WIDE are those that the model was generated with"
+#error "ABREAST, WIDE, RESIDUALS, SLOPE_STARTS and SLOPE_OF are of the model's generated code"
 #endif
+static const int slope_starts[] = {SLOPE_STARTS}, slope_of[] = {SLOPE_OF};
+#define SLOPES ((int)(sizeof slope_of / sizeof *slope_of))
 
 enum status { CONVERGED, ITERATION_LIMIT, NO_DECREASE, NOT_FINITE };
 
@@ -36,11 +41,9 @@ typedef struct {
 typedef struct {
     int segments, horizon, flow_size;
     int max_iterations, real_time;
-    double tip_scale, terminal_scale, step_scale, torque_scale; /* roots of the weights */
-    double angle_bound, torque_bound, tolerance; /* a torque bound of 0 is none */
-    double period;
+    double angle_bound, tolerance, period;
     integrator predictor, plant;
-    const double *values;
+    const double *values, *weights; /* of the arm, and of the cost */
     double *work; /* engine_work() doubles, 0 at first */
 } engine;
 
@@ -59,16 +62,17 @@ typedef struct {
     double *wide_start, *wide_next, *wide_inputs, *wide_flow, *wide_disturbance;
     double *wide_commands, *wide_command_slopes; /* torques of the commands, by q_bar */
     double *wide_points; /* where each step of the rollout starts, and how the rates change */
-    double *wide_a, *wide_b, *wide_tips, *wide_tip_jacobian;
-    double *wide_torques, *wide_torque_by_state, *wide_torque_by_input;
+    double *wide_a, *wide_b;
+    double *wide_former, *wide_reference, *wide_last; /* what else the residuals depend on */
+    double *wide_residuals, *wide_slopes;
     double *slope, *rates;  /* of one group of periods: derivatives of a step, n rows */
     double *begun, *chain; /* ... and of what has been gone of the period, 2 n rows */
     double *states;
     double *now, *change, *end; /* of the columns, and of a step */
     double *command, *one_input, *one_command, *one_slope;
-    double *motion, *previous_motion, *row;
+    double *motion, *previous_motion, *row; /* derivatives by all inputs */
     double *hessian, *factor, *gradient, *direction, *trial, *residual, *multiplier;
-    double *no_disturbance;
+    double *no_disturbance, *previous;
     int *set;
 } pieces;
 
@@ -99,11 +103,11 @@ static long cut(const engine *e, double *work, pieces *p) {
     p->wide_points = take(work, &used, wide * (x + n) * points(e));
     p->wide_a = take(work, &used, wide * x * x);
     p->wide_b = take(work, &used, wide * x * n);
-    p->wide_tips = take(work, &used, wide * 2);
-    p->wide_tip_jacobian = take(work, &used, wide * 2 * n);
-    p->wide_torques = take(work, &used, wide * n);
-    p->wide_torque_by_state = take(work, &used, wide * n * x);
-    p->wide_torque_by_input = take(work, &used, wide * n * n);
+    p->wide_former = take(work, &used, wide * n);
+    p->wide_reference = take(work, &used, wide * 2);
+    p->wide_last = take(work, &used, wide);
+    p->wide_residuals = take(work, &used, wide * RESIDUALS);
+    p->wide_slopes = take(work, &used, wide * SLOPES);
     p->slope = take(work, &used, n * columns);
     p->rates = take(work, &used, n * WIDE);
     p->begun = take(work, &used, x * columns);
@@ -127,6 +131,7 @@ static long cut(const engine *e, double *work, pieces *p) {
     p->residual = take(work, &used, size);
     p->multiplier = take(work, &used, size);
     p->no_disturbance = take(work, &used, n);
+    p->previous = take(work, &used, n);
     p->set = (int *)take(work, &used, size);
     return used;
 }
@@ -155,24 +160,20 @@ static double largest(const double *v, int count) {
     return most;
 }
 
-static double torque_excess(const engine *e, double torque) {
-    if (e->torque_bound == 0 || fabs(torque) <= e->torque_bound) return 0;
-    return torque - copysign(e->torque_bound, torque);
-}
-
-/* What is held over a period. */
+/* What is constant over a period. */
 typedef struct {
     const double *command, *flow, *disturbance;
-} held;
+} period_inputs;
 
 /* Add the weighted ends of the columns of an extrapolation from x to p->end. Column j goes the
  * length in j steps; the columns go abreast, and the longest first. Where each step starts, and
  * the change of the rates in it, are kept in the lane `point`, if asked for. */
-static void extrapolate(const engine *e, const integrator *by, const held *h, const double *x,
+static void extrapolate(const engine *e, const integrator *by, const period_inputs *in, const double *x,
                         double start, double length, pieces *p, double *point) {
     int n = e->segments, size = 2 * n, waiting = by->columns, column[ABREAST], gone[ABREAST];
     double time[ABREAST], step[ABREAST], *now = p->now, *change = p->change;
-    const double *arg[] = {now, time, step, h->command, h->flow, h->disturbance, by->gains, e->values};
+    const double *arg[] = {now, time, step, in->command, in->flow, in->disturbance, by->gains,
+                           e->values};
     double *res[] = {change};
     for (int l = 0; l < ABREAST; l++) column[l] = gone[l] = 0;
     for (;;) {
@@ -210,24 +211,26 @@ static void extrapolate(const engine *e, const integrator *by, const held *h, co
 }
 
 /* Move x on by a period; for `point` see above. */
-static void advance(const engine *e, const integrator *by, const held *h, double *x, pieces *p,
-                    double *point) {
+static void advance(const engine *e, const integrator *by, const period_inputs *in, double *x,
+                    pieces *p, double *point) {
     int size = 2 * e->segments, each = by->columns * (by->columns + 1) / 2;
     double length = e->period / by->steps;
     for (int s = 0; s < by->steps; s++) {
         for (int i = 0; i < size; i++) p->end[i] = 0;
-        extrapolate(e, by, h, x, s * length - e->period / 2, length, p,
+        extrapolate(e, by, in, x, s * length - e->period / 2, length, p,
                     point ? point + (long)s * each * (size + e->segments) * WIDE : 0);
         for (int i = 0; i < size; i++) x[i] = p->end[i];
     }
 }
 
-/* Forecast of a task, side by side. */
-static void read_forecast(const engine *e, const task *t, pieces *p) {
+/* What a task gives for each period, side by side. */
+static void read_task(const engine *e, const task *t, pieces *p) {
     int n = e->segments, f = e->flow_size;
     for (int k = 0; k < e->horizon; k++) {
         put(p->wide_flow, f, k, t->flow + f * k);
         put(p->wide_disturbance, n, k, t->disturbance + n * k);
+        put(p->wide_reference, 2, k, t->reference + 2 * k);
+        *lane(p->wide_last, 1, k) = k + 1 == e->horizon;
     }
 }
 
@@ -243,13 +246,13 @@ static void begin_periods(const engine *e, pieces *p) {
 static void end_periods(const engine *e, pieces *p) {
     int n = e->segments, x = 2 * n;
     for (int k = 0; k < e->horizon; k += WIDE) {
-        const double *arg[] = {lane(p->wide_start, x, k), lane(p->wide_next, x, k),
+        const double *arg[] = {lane(p->wide_start, x, k),    lane(p->wide_next, x, k),
                                lane(p->wide_commands, n, k), lane(p->wide_command_slopes, n * n, k),
-                               e->predictor.gains, e->values};
-        double *res[] = {lane(p->wide_tips, 2, k), lane(p->wide_tip_jacobian, 2 * n, k),
-                         lane(p->wide_torques, n, k), lane(p->wide_torque_by_state, n * x, k),
-                         lane(p->wide_torque_by_input, n * n, k)};
-        period_end(arg, res);
+                               lane(p->wide_inputs, n, k),   lane(p->wide_former, n, k),
+                               lane(p->wide_reference, 2, k), lane(p->wide_last, 1, k),
+                               e->weights, e->predictor.gains, e->values};
+        double *res[] = {lane(p->wide_residuals, RESIDUALS, k), lane(p->wide_slopes, SLOPES, k)};
+        period_cost(arg, res);
     }
 }
 
@@ -257,32 +260,25 @@ static void end_periods(const engine *e, pieces *p) {
 static double roll_out(const engine *e, const task *t, const double *inputs, pieces *p) {
     int n = e->segments, x = 2 * n, f = e->flow_size;
     double cost = 0;
-    for (int k = 0; k < e->horizon; k++) put(p->wide_inputs, n, k, inputs + n * k);
+    for (int k = 0; k < e->horizon; k++) {
+        put(p->wide_inputs, n, k, inputs + n * k);
+        put(p->wide_former, n, k, k ? inputs + n * (k - 1) : t->previous);
+    }
     begin_periods(e, p);
     for (int i = 0; i < x; i++) p->states[i] = t->state[i];
     for (int k = 0; k < e->horizon; k++) {
         double *from = p->states + x * k, *to = from + x;
-        held h = {p->command, t->flow + f * k, t->disturbance + n * k};
+        period_inputs in = {p->command, t->flow + f * k, t->disturbance + n * k};
         get(p->command, n, lane(p->wide_commands, n, k));
         for (int i = 0; i < x; i++) to[i] = from[i];
-        advance(e, &e->predictor, &h, to, p, lane(p->wide_points, (x + n) * points(e), k));
+        advance(e, &e->predictor, &in, to, p, lane(p->wide_points, (x + n) * points(e), k));
         put(p->wide_start, x, k, from);
         put(p->wide_next, x, k, to);
     }
     end_periods(e, p);
     for (int k = 0; k < e->horizon; k++) {
-        const double *tip = lane(p->wide_tips, 2, k), *torque = lane(p->wide_torques, n, k);
-        double scale = k + 1 < e->horizon ? e->tip_scale : e->terminal_scale;
-        for (int i = 0; i < 2; i++) {
-            double error = scale * (tip[i * WIDE] - t->reference[2 * k + i]);
-            cost += error * error;
-        }
-        const double *before = k ? inputs + n * (k - 1) : t->previous;
-        for (int i = 0; i < n; i++) {
-            double change = e->step_scale * (inputs[n * k + i] - before[i]);
-            double excess = e->torque_scale * torque_excess(e, torque[i * WIDE]);
-            cost += change * change + excess * excess;
-        }
+        const double *residual = lane(p->wide_residuals, RESIDUALS, k);
+        for (int r = 0; r < RESIDUALS; r++) cost += residual[r * WIDE] * residual[r * WIDE];
     }
     return cost;
 }
@@ -359,56 +355,51 @@ static void differentiate(const engine *e, pieces *p, int k) {
     follow_command(n, x, lane(p->wide_command_slopes, n * n, k), b, p->rates);
 }
 
-/* Add a residual with its row of derivatives to Hessian and half gradient. */
-static void add_row(pieces *p, int size, int columns, const double *row, double residual) {
-    for (int i = 0; i < columns; i++) {
-        double factor = row[i], *h = p->hessian + i * size;
-        p->gradient[i] += factor * residual;
-        for (int c = i; c < columns; c++) h[c] += factor * row[c];
-    }
+static void add_scaled(double *restrict to, double factor, const double *restrict row, int count) {
+    for (int c = 0; c < count; c++) to[c] += factor * row[c];
 }
 
-/* The torques beyond their bound, period k; motion is still that before the period. */
-static void add_torques(const engine *e, pieces *p, int k) {
-    int n = e->segments, x = 2 * n, size = n * e->horizon, known = n * k;
-    const double *torques = lane(p->wide_torques, n, k);
-    const double *by_state = lane(p->wide_torque_by_state, n * x, k);
-    const double *by_input = lane(p->wide_torque_by_input, n * n, k);
-    for (int i = 0; i < n; i++) {
-        double excess = e->torque_scale * torque_excess(e, torques[i * WIDE]);
-        if (excess == 0) continue;
-        for (int c = 0; c < known; c++) p->row[c] = 0;
-        for (int m = 0; m < x; m++) {
-            double factor = e->torque_scale * by_state[(i + n * m) * WIDE];
-            for (int c = 0; c < known; c++) p->row[c] += factor * p->motion[m * size + c];
+/* Add residual r of period k with its derivatives by all inputs to Hessian and half gradient;
+ * motion and previous_motion are the derivatives of the states after and before the period. */
+static void add_residual(const engine *e, pieces *p, int k, int r) {
+    int n = e->segments, size = n * e->horizon, known = n * k, columns = known + n;
+    int start = slope_starts[r], end = slope_starts[r + 1], first = known;
+    const double *slope = lane(p->wide_slopes, SLOPES, k);
+    double *row = p->row;
+    for (int s = start; s < end && first; s++)
+        if (slope[s * WIDE] != 0) first = slope_of[s] < 3 * n ? 0 : known - n;
+    for (int c = first; c < columns; c++) row[c] = 0;
+    for (int s = start; s < end; s++) {
+        double factor = slope[s * WIDE];
+        int by = slope_of[s];
+        if (factor == 0) continue;
+        if (by < 3 * n) {
+            add_scaled(row, factor, by < n ? p->motion + by * size : p->previous_motion + (by - n) * size,
+                       by < n ? columns : known);
+        } else if (by < 4 * n) {
+            row[known + by - 3 * n] += factor;
+        } else if (k) {
+            row[known + by - 5 * n] += factor;
         }
-        for (int m = 0; m < n; m++)
-            p->row[known + m] = e->torque_scale * by_input[(i + n * m) * WIDE];
-        add_row(p, size, known + n, p->row, excess);
+    }
+    double residual = lane(p->wide_residuals, RESIDUALS, k)[r * WIDE];
+    for (int i = first; i < columns; i++) {
+        double factor = row[i], *h = p->hessian + i * size;
+        if (factor == 0) continue;
+        p->gradient[i] += factor * residual;
+        add_scaled(h + i, factor, row + i, columns - i);
     }
 }
 
 /* Gauss-Newton Hessian (upper triangle) and half the gradient of the last rollout. */
-static void condense(const engine *e, const task *t, const double *inputs, pieces *p) {
+static void condense(const engine *e, pieces *p) {
     int n = e->segments, x = 2 * n, size = n * e->horizon;
-    double r = e->step_scale * e->step_scale;
     for (int i = 0; i < size * size; i++) p->hessian[i] = 0;
-    for (int i = 0; i < size; i++) {
-        int last = i >= size - n;
-        const double *before = i < n ? t->previous : inputs - n;
-        p->hessian[i * size + i] = last ? r : 2 * r;
-        p->gradient[i] = r * (inputs[i] - before[i]);
-        if (!last) {
-            p->hessian[i * size + i + n] = -r;
-            p->gradient[i] += r * (inputs[i] - inputs[i + n]);
-        }
-    }
+    for (int i = 0; i < size; i++) p->gradient[i] = 0;
     for (int k = 0; k < e->horizon; k++) {
         if (k % WIDE == 0) differentiate(e, p, k);
         const double *a = lane(p->wide_a, x * x, k), *b = lane(p->wide_b, x * n, k);
-        const double *tip = lane(p->wide_tips, 2, k), *j = lane(p->wide_tip_jacobian, 2 * n, k);
-        int known = n * k, columns = known + n;
-        if (e->torque_bound > 0) add_torques(e, p, k);
+        int known = n * k;
         double *swap = p->motion;
         p->motion = p->previous_motion;
         p->previous_motion = swap;
@@ -416,24 +407,11 @@ static void condense(const engine *e, const task *t, const double *inputs, piece
             double *out = p->motion + row * size;
             for (int c = 0; c < known; c++) out[c] = 0;
             for (int m = 0; m < x; m++) {
-                double factor = a[(row + x * m) * WIDE];
-                const double *in = p->previous_motion + m * size;
-                for (int c = 0; c < known; c++) out[c] += factor * in[c];
+                add_scaled(out, a[(row + x * m) * WIDE], p->previous_motion + m * size, known);
             }
             for (int c = 0; c < n; c++) out[known + c] = b[(row + x * c) * WIDE];
         }
-        double scale = k + 1 < e->horizon ? e->tip_scale : e->terminal_scale;
-        for (int row = 0; row < 2; row++) {
-            double *g = p->row;
-            double error = scale * (tip[row * WIDE] - t->reference[2 * k + row]);
-            for (int c = 0; c < columns; c++) g[c] = 0;
-            for (int m = 0; m < n; m++) {
-                double factor = scale * j[(row + 2 * m) * WIDE];
-                const double *in = p->motion + m * size;
-                for (int c = 0; c < columns; c++) g[c] += factor * in[c];
-            }
-            if (scale > 0) add_row(p, size, columns, g, error);
-        }
+        for (int r = 0; r < RESIDUALS; r++) add_residual(e, p, k, r);
     }
 }
 
@@ -448,8 +426,7 @@ static void factorise(const double *h, int size, const int *set, int count, doub
         double *ui = u + i * count, pivot = 1 / sqrt(ui[i]);
         for (int c = i; c < count; c++) ui[c] *= pivot;
         for (int m = i + 1; m < count; m++) {
-            double factor = ui[m], *um = u + m * count;
-            for (int c = m; c < count; c++) um[c] -= factor * ui[c];
+            add_scaled(u + m * count + m, -ui[m], ui + m, count - m);
         }
     }
 }
@@ -524,7 +501,7 @@ void nmpc_solve(const engine *e, const task *t, double *inputs, outcome *out) {
     int size = e->segments * e->horizon;
     pieces p;
     cut(e, e->work, &p);
-    read_forecast(e, t, &p);
+    read_task(e, t, &p);
     for (int i = 0; i < size; i++) inputs[i] = fmin(fmax(inputs[i], -e->angle_bound), e->angle_bound);
     double cost = roll_out(e, t, inputs, &p);
     out->iterations = 0;
@@ -535,7 +512,7 @@ void nmpc_solve(const engine *e, const task *t, double *inputs, outcome *out) {
     out->status = ITERATION_LIMIT;
     double contraction = INFINITY; /* unknown */
     while (out->iterations < e->max_iterations) {
-        condense(e, t, inputs, &p);
+        condense(e, &p);
         quadratic_step(e, inputs, &p);
         double slope = 0, length = largest(p.direction, size), scale = 1;
         for (int i = 0; i < size; i++) slope += 2 * p.gradient[i] * p.direction[i];
@@ -546,7 +523,8 @@ void nmpc_solve(const engine *e, const task *t, double *inputs, outcome *out) {
         int steady = contraction < STEADY && length < NEARLY * e->tolerance &&
                      length * contraction < (1 - contraction) * e->tolerance;
         int short_enough = length < e->tolerance || steady;
-        if (short_enough || (e->real_time && out->iterations == e->max_iterations)) {
+        /* Real-time iteration takes its full steps, converged or not. */
+        if (e->real_time ? out->iterations == e->max_iterations : short_enough) {
             /* The model of the cost is exact to third order in so short a step. */
             for (int i = 0; i < size; i++) inputs[i] += p.direction[i];
             out->cost = cost + slope / 2;
@@ -557,9 +535,11 @@ void nmpc_solve(const engine *e, const task *t, double *inputs, outcome *out) {
         for (;;) {
             for (int i = 0; i < size; i++) p.trial[i] = inputs[i] + scale * p.direction[i];
             found = roll_out(e, t, p.trial, &p);
-            if (found <= (1 + ROUNDING) * cost + SUFFICIENT_DECREASE * scale * slope) break;
+            if (e->real_time ? is_finite(found)
+                             : found <= (1 + ROUNDING) * cost + SUFFICIENT_DECREASE * scale * slope)
+                break;
             scale /= 2;
-            if (scale < SHORTEST_STEP) {
+            if (scale < (e->real_time ? 1 : SHORTEST_STEP)) {
                 out->status = NO_DECREASE;
                 return;
             }
@@ -580,9 +560,9 @@ void plant_advance(const engine *e, const double *state, const double *q_bar, co
     double *res[] = {p.one_command, p.one_slope};
     command_torque(arg, res);
     get(p.command, e->segments, p.one_command);
-    held h = {p.command, flow, p.no_disturbance};
+    period_inputs in = {p.command, flow, p.no_disturbance};
     for (int i = 0; i < 2 * e->segments; i++) end[i] = state[i];
-    advance(e, &e->plant, &h, end, &p, 0);
+    advance(e, &e->plant, &in, end, &p, 0);
 }
 
 /* The plant under commands that are given. */
@@ -595,21 +575,22 @@ void plant_follow(const engine *e, int steps, const double *q_bar, const double 
 /* A closed loop: solve, apply, move on. Returns the number of steps done; it ends early
  * only where a plan is not finite, which the caller's fallback has to handle. */
 int closed_loop(const engine *e, int steps, const double *targets, const double *sea,
-                const double *told, const double *disturbance, double *plan, double *states,
+                const double *forecast, const double *disturbance, double *plan, double *states,
                 double *q_bar, int *statuses, int *iterations) {
     int n = e->segments, x = 2 * n, size = n * e->horizon;
-    double previous[64];
-    for (int i = 0; i < n; i++) previous[i] = plan[i];
+    pieces p;
+    cut(e, e->work, &p);
+    for (int i = 0; i < n; i++) p.previous[i] = plan[i];
     for (int s = 0; s < steps; s++) {
-        task t = {states + x * s, previous, targets + 2 * (s + 1), told + e->flow_size * s,
+        task t = {states + x * s, p.previous, targets + 2 * (s + 1), forecast + e->flow_size * s,
                   disturbance + (long)size * s};
         outcome out;
         nmpc_solve(e, &t, plan, &out);
         statuses[s] = out.status;
         iterations[s] = out.iterations;
         if (out.status == NOT_FINITE) return s;
-        for (int i = 0; i < n; i++) q_bar[n * s + i] = previous[i] = plan[i];
-        plant_advance(e, states + x * s, previous, sea + e->flow_size * s, states + x * (s + 1));
+        for (int i = 0; i < n; i++) q_bar[n * s + i] = p.previous[i] = plan[i];
+        plant_advance(e, states + x * s, p.previous, sea + e->flow_size * s, states + x * (s + 1));
         for (int i = 0; i < size - n; i++) plan[i] = plan[i + n];
     }
     return steps;

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from softwave_min.arm import Arm, Structure
 from softwave_min.control.compiled.lanes import lane_code
 from softwave_min.control.implicit_step import slopes_sum, step_sum
-from softwave_min.control.nmpc import Problem, Solution, Status, scales
 from softwave_min.control.predictor import (
     command_function,
     extrapolation_weights,
-    period_function,
+    period_cost_function,
 )
+from softwave_min.control.problem import Problem, Solution, Status, Weights
 from softwave_min.native import build
 from softwave_min.parameters import NmpcParameters, SimulationParameters
 
@@ -46,12 +46,9 @@ class _Engine(ctypes.Structure):
     _fields_ = (
         *((name, ctypes.c_int) for name in ("segments", "horizon", "flow_size")),
         *((name, ctypes.c_int) for name in ("max_iterations", "real_time")),
-        *((name, ctypes.c_double) for name in ("tip_scale", "terminal_scale", "step_scale")),
-        *((name, ctypes.c_double) for name in ("torque_scale", "angle_bound", "torque_bound")),
-        ("tolerance", ctypes.c_double),
-        ("period", ctypes.c_double),
+        *((name, ctypes.c_double) for name in ("angle_bound", "tolerance", "period")),
         *((name, _Integrator) for name in ("predictor", "plant")),
-        *((name, _DOUBLES) for name in ("values", "work")),
+        *((name, _DOUBLES) for name in ("values", "weights", "work")),
     )
 
 
@@ -98,22 +95,19 @@ class Engine:
         self._library = _library(arm.structure)
         self._segments = arm.segments
         # The arrays must live as long as the pointers to them.
-        self._kept = [arm.values]
+        self._kept = [arm.values, Weights.packed(nmpc)]
         self._engine = _Engine(
             arm.segments,
             nmpc.horizon,
             arm.structure.flow_size,
             nmpc.max_iterations,
             int(nmpc.real_time),
-            *scales(nmpc),
-            np.sqrt(nmpc.torque_weight),
             nmpc.angle_bound,
-            nmpc.torque_bound,
             nmpc.tolerance,
             nmpc.control_period,
             self._integrator(nmpc.substeps, nmpc.extrapolation_columns, gains),
             self._integrator(plant.extrapolated_steps, plant.extrapolation_columns, plant_gains),
-            _pointer(arm.values),
+            *(_pointer(array) for array in self._kept[:2]),
         )
         self._kept.append(np.zeros(self._library.engine_work(ctypes.byref(self._engine))))
         self._engine.work = _pointer(self._kept[-1])
@@ -169,7 +163,7 @@ class Engine:
         initial: Floats,
         targets: Floats,
         flow: Floats,
-        told: Floats,
+        forecast: Floats,
         disturbance: Floats,
     ) -> tuple[Floats, Floats, NDArray[np.intc], NDArray[np.intc]]:
         """A whole closed loop: states (T + 1, 2 n), commands (T, n), statuses, iterations.
@@ -183,7 +177,7 @@ class Engine:
         states[0] = initial
         plan = np.tile(initial[:n], (horizon, 1))
         statuses, iterations = np.zeros(steps, np.intc), np.zeros(steps, np.intc)
-        inputs = [np.ascontiguousarray(one) for one in (targets, flow, told, disturbance)]
+        inputs = [np.ascontiguousarray(one) for one in (targets, flow, forecast, disturbance)]
         done = self._library.closed_loop(
             ctypes.byref(self._engine),
             steps,
@@ -201,14 +195,24 @@ def _pointer(array: Floats) -> ctypes._Pointer[ctypes.c_double]:
 def _library(structure: Structure) -> ctypes.CDLL:
     own = Path(__file__).with_name("engine.c").read_text(encoding="utf-8")
     numbers = {"gains", "values"}
-    held = numbers | {"command_torque", "flow", "disturbance"}
+    constant = numbers | {"command_torque", "flow", "disturbance"}
     slopes, step = slopes_sum(structure), step_sum(structure)
+    cost = period_cost_function(structure)
+    pattern = cost.sparsity_out("slopes")
+    macros = {
+        "ABREAST": ABREAST,
+        "WIDE": WIDE,
+        "RESIDUALS": pattern.size2(),
+        "SLOPE_STARTS": str(pattern.colind())[1:-1],
+        "SLOPE_OF": str(pattern.row())[1:-1],
+    }
+    defined = "".join(f"#define {name} {value}\n" for name, value in macros.items())
     sources = {
-        "engine.c": f"#define ABREAST {ABREAST}\n#define WIDE {WIDE}\n{own}",
-        "step.c": lane_code(step, ABREAST, held, PLACES),
+        "engine.c": defined + own,
+        "step.c": lane_code(step, ABREAST, constant, PLACES),
         "slopes.c": lane_code(slopes, WIDE, numbers | {"time", "h"}),
         "command.c": lane_code(command_function(structure), WIDE, numbers),
-        "period.c": lane_code(period_function(structure), WIDE, numbers),
+        "cost.c": lane_code(cost, WIDE, numbers | {"weights"}),
     }
     library = ctypes.CDLL(str(build("engine", sources)))
     library.engine_work.restype = ctypes.c_long

@@ -67,11 +67,15 @@ INLINE lanes root(lanes a) {
 #define QUARTER 0x1.921fb544p+0
 #define REST 0x1.0b4611a626331p-34
 
-/* The angle less whole quarters of a turn, within pi/4 of 0, and their number modulo 4. */
+#define MOST_QUARTERS 0x1p20
+
+/* The angle less whole quarters of a turn, within pi/4 of 0, and their number modulo 4; NaN
+ * where there are too many of them to be taken off exactly. */
 INLINE lanes reduced(lanes angle, lanes *quarters) {
     lanes count = (angle * (2 / 3.14159265358979323846) + ROUNDING) - ROUNDING;
     *quarters = count - 4 * ((count / 4 - 0.375 + ROUNDING) - ROUNDING);
-    return (angle - count * QUARTER) - count * REST;
+    lanes rest = (angle - count * QUARTER) - count * REST;
+    return either(magnitude(count) <= all(MOST_QUARTERS), rest, all(NAN));
 }
 
 /* Taylor series; what is left out is below 1e-19 within pi/4 of 0. */

@@ -48,7 +48,7 @@ def lane_code(
     Parameters
     ----------
     function
-        Of scalar expressions (SX), with dense inputs and outputs.
+        Of scalar expressions (SX), with dense inputs; of a sparse output, the nonzeros.
     arguments
         How many at once.
     same
@@ -72,20 +72,16 @@ def lane_code(
             return f"all(arg[{argument}][{element}])"
         return f"load(arg[{argument}] + {arguments * element})"
 
-    return "\n".join(
-        [
-            f"#define ARGUMENTS {arguments}",
-            f"#define PLACES {places}",
-            Path(__file__).with_name("lanes.h").read_text(encoding="utf-8"),
-            f"void {whole.name()}(const double *const *arg, double *const *res) {{",
-            *(
-                _summed(function, places, given)
-                if isinstance(function, Summed)
-                else _straight(function, given)
-            ),
-            "}\n",
-        ]
-    ).replace("\n\n\n", "\n\n")
+    summed = isinstance(function, Summed)
+    lines = [
+        f"#define ARGUMENTS {arguments}",
+        f"#define PLACES {places}",
+        Path(__file__).with_name("lanes.h").read_text(encoding="utf-8"),
+        f"void {whole.name()}(const double *const *arg, double *const *res) {{",
+        *(_summed(function, places, given) if summed else _straight(function, given)),
+        "}\n",
+    ]
+    return "\n".join(lines)
 
 
 @dataclass(frozen=True)
@@ -166,13 +162,13 @@ def _translated(
     """The instructions, each with a variable of its own; ``place`` is an input's index."""
     statements: list[_Statement] = []
     outputs: list[_Output] = []
-    held: dict[int, _Statement] = {}  # by CasADi's register
+    registers: dict[int, _Statement] = {}
     reciprocals: dict[str, _Statement] = {}  # by the divisor
     for k in range(function.n_instructions()):
         code = function.instruction_id(k)
         to, of = function.instruction_output(k), function.instruction_input(k)
         if code == ca.OP_OUTPUT:
-            outputs.append(_Output(to[0], to[1], held[of[0]]))
+            outputs.append(_Output(to[0], to[1], registers[of[0]]))
             continue
         name, operands = f"{letter}{k}", []
         if code == ca.OP_CONST:
@@ -180,10 +176,10 @@ def _translated(
         elif code == ca.OP_INPUT:
             value = given(*of)
         elif code in _TEMPLATES:
-            operands = [held[index] for index in of]
+            operands = [registers[index] for index in of]
             value = _TEMPLATES[code].format(*(operand.name for operand in operands))
         elif code == ca.OP_DIV:
-            dividend, divisor = (held[index] for index in of)
+            dividend, divisor = (registers[index] for index in of)
             if divisor.name not in reciprocals:
                 inverse = _Statement(f"r{divisor.name}", f"1 / {divisor.name}", divisor.varies)
                 reciprocals[divisor.name] = inverse
@@ -195,6 +191,6 @@ def _translated(
         varies = any(one.varies for one in operands)
         if code == ca.OP_INPUT:
             varies = of[0] == place
-        held[to[0]] = _Statement(name, value, varies)
-        statements.append(held[to[0]])
+        registers[to[0]] = _Statement(name, value, varies)
+        statements.append(registers[to[0]])
     return statements, outputs

@@ -2,6 +2,7 @@ r"""Steps of both controllers as convex programs, posed in cvxpy.
 
 Each program is written as on paper, compiled once, and then only given new numbers.
 They are there to read and to compare with; the controllers' own steps are faster.
+A program that is not solved ends in an ``UnsolvedError``: there is no step to take.
 """
 
 from __future__ import annotations
@@ -14,8 +15,9 @@ from numpy.typing import NDArray
 
 from softwave_min.arm import Arm
 from softwave_min.control.baseline import KinematicPlanner
-from softwave_min.control.nmpc import GaussNewton, Problem, Solution
-from softwave_min.parameters import BaselineParameters, NmpcParameters
+from softwave_min.control.nmpc import GaussNewton
+from softwave_min.control.problem import Problem
+from softwave_min.parameters import BaselineParameters
 
 Floats = NDArray[np.float64]
 
@@ -31,81 +33,73 @@ SETTINGS = {
 Without a warm start, an answer depends on the numbers asked alone."""
 
 
+class UnsolvedError(RuntimeError):
+    """A convex program has no answer to the accuracy asked for."""
+
+
+def solve(program: cp.Problem) -> None:
+    """Solve a program.
+
+    Raises
+    ------
+    UnsolvedError
+        If its status is any but optimal.
+    """
+    try:
+        program.solve(**SETTINGS)
+    except cp.SolverError as error:
+        raise UnsolvedError(f"cvxpy: {error}") from error
+    if program.status != cp.OPTIMAL:
+        raise UnsolvedError(f"cvxpy: the program is {program.status}")
+
+
 def sqp_step(problem: Problem, inputs: Floats, solver: GaussNewton) -> Floats:
     """The step that ``solver`` takes from ``inputs``, (K, n) in rad.
 
-    With the prediction linearised at ``inputs``, the optimal control problem is a convex
+    With the residuals linearised at ``inputs``, the optimal control problem is a convex
     quadratic program: one iteration of sequential quadratic programming.
     """
-    return _linearised(solver.parameters, inputs.shape[1]).step(problem, inputs, solver)
+    return _posed_step(inputs, *solver.residual(problem, inputs), solver.parameters.angle_bound)
 
 
 class ConvexGaussNewton(GaussNewton):
     """``GaussNewton`` with every step posed and solved in cvxpy: slow, and to read."""
 
-    _posed: Problem
-
-    def solve(self, problem: Problem, guess: Floats) -> Solution:
-        """Minimise the cost from the inputs ``guess``, (K, n) in rad."""
-        self._posed = problem
-        return super().solve(problem, guess)
-
-    def step(self, inputs: Floats, residual: Floats, jacobian: Floats) -> Floats:  # noqa: ARG002
+    def step(self, inputs: Floats, residual: Floats, jacobian: Floats) -> Floats:
         """Minimise the linearised sum of squares within the bounds, (K, n)."""
-        step = sqp_step(self._posed, inputs, self)
         bound = self.parameters.angle_bound
+        step = _posed_step(inputs, residual, jacobian, bound)
         kept: Floats = np.clip(inputs + step, -bound, bound) - inputs
         return kept
 
 
+def _posed_step(inputs: Floats, residual: Floats, jacobian: Floats, bound: float) -> Floats:
+    step: Floats = _linearised(*jacobian.shape, bound).step(inputs.ravel(), residual, jacobian)
+    return step.reshape(inputs.shape)
+
+
 class _LinearisedProblem:
-    r"""The optimal control problem of ``control/nmpc.py`` with a linear prediction.
+    r"""The optimal control problem with the residuals of ``control/problem.py`` linearised.
 
-    .. math:: \min_{\bar q_0 \dots \bar q_{K-1}} \sum_{k=0}^{K-1}
-       Q_k \|\hat x_k + S_k (\bar q - \hat{\bar q}) - x_{r,k}\|^2
-       + R\, \|\bar q_k - \bar q_{k-1}\|^2 \quad\text{s.t.}\quad |\bar q_k| \le \bar q_{\max}
+    .. math:: \min_\delta\ \|r + J_r\,\delta\|^2
+       \quad\text{s.t.}\quad |\bar q + \delta| \le \bar q_{\max}
 
-    with the tips :math:`\hat x` predicted under :math:`\hat{\bar q}` and their
-    derivative S; and likewise the torques that exceed a soft bound.
+    (eq-nmpc-qp in notebooks/nmpc.ipynb).
     """
 
-    def __init__(self, parameters: NmpcParameters, segments: int) -> None:
-        horizon, size = parameters.horizon, parameters.horizon * segments
-        self._bound = parameters.torque_bound
-        self._inputs = cp.Variable((horizon, segments))
-        self._previous = cp.Parameter((1, segments))
-        # What the linear prediction is for inputs of zero, less what is desired.
-        self._offset, self._slope = cp.Parameter(2 * horizon), cp.Parameter((2 * horizon, size))
-        self._excess, self._excess_slope = cp.Parameter(size), cp.Parameter((size, size))
+    def __init__(self, rows: int, columns: int, bound: float) -> None:
+        self._change, self._inputs = cp.Variable(columns), cp.Parameter(columns)
+        self._residual, self._jacobian = cp.Parameter(rows), cp.Parameter((rows, columns))
+        cost = cp.sum_squares(self._residual + self._jacobian @ self._change)
+        moved = self._inputs + self._change
+        self._program = cp.Problem(cp.Minimize(cost), [-bound <= moved, moved <= bound])
 
-        inputs = cp.vec(self._inputs, order="C")
-        errors = self._offset + self._slope @ inputs
-        steps = cp.diff(cp.vstack([self._previous, self._inputs]), axis=0)
-        cost = parameters.tip_weight * (
-            cp.sum_squares(errors[:-2]) + parameters.terminal_weight * cp.sum_squares(errors[-2:])
-        ) + parameters.step_weight * cp.sum_squares(steps)
-        if parameters.torque_bound > 0:
-            excess = self._excess + self._excess_slope @ inputs
-            cost += parameters.torque_weight * cp.sum_squares(excess)
-        limit = parameters.angle_bound
-        bounds = [-limit <= self._inputs, self._inputs <= limit]
-        self._problem = cp.Problem(cp.Minimize(cost), bounds)
-
-    def step(self, problem: Problem, inputs: Floats, solver: GaussNewton) -> Floats:
+    def step(self, inputs: Floats, residual: Floats, jacobian: Floats) -> Floats:
         """Change of the inputs that minimises the cost."""
-        flat = inputs.ravel()
-        rollout = solver.predict(problem.state, inputs, problem.forecast)
-        error = (rollout.tips - problem.reference).ravel()
-        self._previous.value = problem.previous[None]
-        self._offset.value = error - rollout.sensitivity @ flat
-        self._slope.value = rollout.sensitivity
-        if self._bound > 0:
-            torques = rollout.torques.ravel()
-            excess = torques - np.clip(torques, -self._bound, self._bound)
-            slope = (excess != 0)[:, None] * rollout.torque_sensitivity
-            self._excess.value, self._excess_slope.value = excess - slope @ flat, slope
-        self._problem.solve(**SETTINGS)
-        change: Floats = self._inputs.value - inputs
+        self._inputs.value, self._residual.value = inputs, residual
+        self._jacobian.value = jacobian
+        solve(self._program)
+        change: Floats = self._change.value
         return change
 
 
@@ -161,7 +155,7 @@ class ConvexPlanner(KinematicPlanner):
         self._jacobian.value = self._arm.tip_jacobian(q_bar)
         self._displacement.value = self._period * velocity
         self._angles.value = q_bar
-        self._problem.solve(**SETTINGS)
+        solve(self._problem)
         moved: Floats = np.clip(q_bar + self._change.value, -self._bound, self._bound)
         return moved
 

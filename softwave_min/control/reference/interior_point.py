@@ -5,7 +5,7 @@ The states stay unknown, and the prediction becomes a constraint,
 .. math:: \min_{\bar q_0 \dots \bar q_{K-1},\ x_1 \dots x_K} J
    \quad\text{s.t.}\quad x_{k+1} = f(x_k, \bar q_k), \quad |\bar q_k| \le \bar q_{\max},
 
-with the cost J of ``control/nmpc.py``. Exact second derivatives and an interior-point
+with the cost J of ``control/problem.py``. Exact second derivatives and an interior-point
 method: nothing is shared with the Gauss-Newton method but the predictor's own outputs.
 """
 
@@ -20,8 +20,15 @@ from numpy.typing import NDArray
 
 from softwave_min.arm import Arm, Structure, Values
 from softwave_min.control.baseline import InnerLoop
-from softwave_min.control.nmpc import Problem, Solution, Status
 from softwave_min.control.predictor import PeriodSteps, stage_function
+from softwave_min.control.problem import (
+    Period,
+    Problem,
+    Solution,
+    Status,
+    Weights,
+    residual_function,
+)
 from softwave_min.parameters import NmpcParameters
 
 Floats = NDArray[np.float64]
@@ -66,7 +73,7 @@ class InteriorPoint:
         model = (arm.structure, PeriodSteps.of(parameters))
         self._solver = _ipopt(*model, parameters.horizon, tolerance, expand)
         self._rollout = transition_function(*model).mapaccum("rollout", parameters.horizon)
-        self._fixed = (gains, arm.values, _weights(parameters))
+        self._fixed = (gains, arm.values, Weights.packed(parameters))
         self._bound = parameters.angle_bound
         self._shape = (parameters.horizon, 3 * arm.segments)
 
@@ -124,20 +131,6 @@ def transition_function(structure: Structure, steps: PeriodSteps) -> ca.Function
     return ca.Function("transition", inputs, expressions, stage.name_in(), outputs)
 
 
-def _weights(parameters: NmpcParameters) -> Floats:
-    """Weights of a tip error, of the last one, of a step, of excess torque; the torque's bound."""
-    bounded = parameters.torque_bound > 0
-    return np.array(
-        [
-            parameters.tip_weight,
-            parameters.tip_weight * parameters.terminal_weight,
-            parameters.step_weight,
-            parameters.torque_weight if bounded else 0.0,
-            parameters.torque_bound,
-        ]
-    )
-
-
 @cache
 def _ipopt(
     structure: Structure,
@@ -170,8 +163,7 @@ def _multiple_shooting(transition: ca.Function, n: int, horizon: int) -> Any:
     flow = ca.MX.sym("flow", transition.size1_in("flow"), horizon)
     disturbance = ca.MX.sym("disturbance", n, horizon)
     gains, values = ca.MX.sym("gains", InnerLoop.size(n)), ca.MX.sym("values", Values.size(n))
-    weights = ca.MX.sym("weights", 5)
-    each, last, step, excess, bound = ca.vertsplit(weights)
+    weights, residual = ca.MX.sym("weights", Weights.size()), residual_function(n)
     unknown: list[ca.MX] = []
     gaps: list[ca.MX] = []
     cost = ca.MX(0)
@@ -179,9 +171,8 @@ def _multiple_shooting(transition: ca.Function, n: int, horizon: int) -> Any:
     for k in range(horizon):
         q_bar, after = ca.MX.sym(f"q_bar_{k}", n), ca.MX.sym(f"x_{k + 1}", 2 * n)
         reached, tip, torque = transition(x, q_bar, flow[:, k], disturbance[:, k], gains, values)
-        cost += (each if k + 1 < horizon else last) * ca.sumsqr(tip - reference[:, k])
-        cost += step * ca.sumsqr(q_bar - before)
-        cost += excess * ca.sumsqr(ca.fmax(ca.fabs(torque) - bound, 0))
+        period = Period(tip, torque, q_bar, before, reference[:, k], ca.MX(k + 1 == horizon))
+        cost += ca.sumsqr(residual(*vars(period).values(), weights))
         gaps.append(reached - after)
         unknown += [q_bar, after]
         x, before = after, q_bar

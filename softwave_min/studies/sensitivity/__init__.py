@@ -1,11 +1,11 @@
-"""Which of the open values decide the paper's headline numbers, and which do not."""
+"""Which of the parameters that the paper leaves open decide its headline numbers."""
 
 from softwave_min.studies.sensitivity.samples import SEA, Study, study_settings
 from softwave_min.studies.sensitivity.study import NAME, investigate
 from softwave_min.studies.sensitivity.tables import (
+    complete,
     importance,
     important,
-    judged,
     number_names,
     on_scale,
 )
@@ -14,10 +14,10 @@ __all__ = [
     "NAME",
     "SEA",
     "Study",
+    "complete",
     "importance",
     "important",
     "investigate",
-    "judged",
     "number_names",
     "on_scale",
     "study_settings",

@@ -1,9 +1,9 @@
-"""The sets that the study judges: its settings, and how they sample the open values."""
+"""The sets that the study judges: its settings, and how they sample the open parameters."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,16 +13,23 @@ from pydantic.dataclasses import dataclass as validated
 from SALib.sample import morris
 from scipy.stats import qmc
 
+from softwave_min.experiments.places import in_realisation
 from softwave_min.parameters import Count, Positive, Seed, load_data, parameter_set
 from softwave_min.runs.experiment import Run
-from softwave_min.studies.bounded_solves import with_bounded_solves
-from softwave_min.studies.headlines import HeadlineRun, attempted_numbers, headline_cells
-from softwave_min.studies.ranges import open_values, rounded, value_in, with_values
+from softwave_min.studies.cells import headline_cells, with_bounded_solves
+from softwave_min.studies.headlines import HeadlineRun, attempted_numbers
+from softwave_min.studies.ranges import (
+    open_fields,
+    plausible_ranges,
+    rounded,
+    value_in,
+    with_values,
+)
 
 Floats = NDArray[np.float64]
 
 SEA = "random_sea"
-"""The factor beside the open values: by how much the seeds of the sea and of the preview's
+"""The factor beside the open parameters: by how much the seeds of the sea and of the preview's
 noise exceed those of the base set."""
 DRAWN = ALONE, ALL, OTHER_SEA = "important", "all", "all_other_sea"
 """What is drawn: the important values, all of them, or all of them and a sea not seen before."""
@@ -39,13 +46,6 @@ class Screening:
 
 
 @validated(frozen=True, config=ConfigDict(extra="forbid"))
-class Important:
-    """How many values count as important."""
-
-    values: Count
-
-
-@validated(frozen=True, config=ConfigDict(extra="forbid"))
 class Design:
     """What the emulators are fitted to, and how."""
 
@@ -56,23 +56,18 @@ class Design:
 
 
 @validated(frozen=True, config=ConfigDict(extra="forbid"))
-class Draws:
-    """What the conclusion is tested on."""
-
-    sets: Count
-
-
-@validated(frozen=True, config=ConfigDict(extra="forbid"))
 class Study:
     """What data/studies/sensitivity.toml fixes."""
 
     seed: Seed
     base: str
     confidence: Positive
+    important: Count
+    """How many values count as important."""
+    draws: Count
+    """Sets on which the conclusion is tested."""
     screening: Screening
-    important: Important
     design: Design
-    draws: Draws
 
     def generator(self, step: int) -> np.random.Generator:
         """Random numbers of one step of the study."""
@@ -103,11 +98,7 @@ class Sample:
     def run(self, settings: Study) -> Run:
         """Its run: the base set with these values, in this sea."""
         parameters = with_bounded_solves(with_values(parameter_set(settings.base), self.values))
-        parameters = replace(
-            parameters,
-            sea=replace(parameters.sea, seed=parameters.sea.seed + self.sea),
-            preview=replace(parameters.preview, seed=parameters.preview.seed + self.sea),
-        )
+        parameters = in_realisation(parameters, self.sea)
         return Run(self.name, attempted_numbers, HeadlineRun(parameters, headline_cells()))
 
 
@@ -118,7 +109,7 @@ def screening(settings: Study) -> list[Sample]:
     ranges at once, where many closed loops are unstable, stand for none of them.
     """
     chosen = settings.screening
-    fields = [value.field for value in open_values()]
+    fields = open_fields()
     grid = morris.sample(
         _problem(len(fields) + 1),
         chosen.candidates,
@@ -152,8 +143,8 @@ def draws(settings: Study, fields: Sequence[str]) -> list[Sample]:
     With the values of ``fields`` alone, the others those of the base set; with all; and with
     all in a sea that is none of the screening's.
     """
-    every = [value.field for value in open_values()]
-    shares = settings.generator(2).random((settings.draws.sets, len(every)))
+    every = open_fields()
+    shares = settings.generator(2).random((settings.draws, len(every)))
     found = []
     for index, row in enumerate(shares):
         alone = [row[every.index(one)] for one in fields]
@@ -177,12 +168,12 @@ def _problem(factors: int) -> dict[str, Any]:
 def _values(
     settings: Study, fields: Sequence[str], shares: Sequence[float] | Floats
 ) -> dict[str, float]:
-    """All open values: those of the base set, but for the given fields at shares of a range."""
+    """All open parameters: those of the base set, but for the given fields at shares of a range."""
     base = parameter_set(settings.base)
     of = dict(zip(fields, shares, strict=True))
     return {
         value.field: rounded(value.at(float(of[value.field])))
         if value.field in of
         else value_in(base, value.field)
-        for value in open_values()
+        for value in plausible_ranges()
     }

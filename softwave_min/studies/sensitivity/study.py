@@ -1,7 +1,7 @@
 r"""The study, step by step.
 
-1. *Screening* by Morris's elementary effects, over all open values in their plausible
-   ranges (``data/studies/open_values.toml``) and the random sea.
+1. *Screening* by Morris's elementary effects, over all open parameters in their plausible
+   ranges (``data/studies/plausible_ranges.toml``) and the random sea.
 2. A *design* that fills the ranges of the values that matter most; the others keep the value
    of the base set. An emulator, a polynomial, is fitted to each headline number, and
    variance-based indices are computed on it.

@@ -12,9 +12,10 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.stats import spearmanr
 
-from softwave_min.studies.ranges import open_values
+from softwave_min.runs.statistics import rank_correlation
+from softwave_min.simulation import root_mean_square_error
+from softwave_min.studies.ranges import open_fields, plausible_ranges
 from softwave_min.studies.sensitivity.emulator import (
     Emulator,
     fitted,
@@ -34,7 +35,7 @@ LEAST = 1e-3
 
 def number_names(evaluations: pd.DataFrame) -> list[str]:
     """The headline numbers, by their columns in a table of evaluations."""
-    others = {*PLACE, "solves_failed", *(value.field for value in open_values())}
+    others = {*PLACE, "solves_failed", *open_fields()}
     return [name for name in evaluations.columns if name not in others]
 
 
@@ -55,7 +56,7 @@ def on_scale(evaluations: pd.DataFrame, number: str) -> Floats:
     return values
 
 
-def judged(evaluations: pd.DataFrame, together: int = 1) -> pd.DataFrame:
+def complete(evaluations: pd.DataFrame, together: int = 1) -> pd.DataFrame:
     """The sets that have their numbers, and so all of the ``together`` that belong together."""
     numbers = evaluations[number_names(evaluations)].to_numpy(float)
     whole = np.isfinite(numbers).all(axis=1).reshape(-1, together).all(axis=1)
@@ -63,11 +64,11 @@ def judged(evaluations: pd.DataFrame, together: int = 1) -> pd.DataFrame:
 
 
 def effects(evaluations: pd.DataFrame, number: str, settings: Study) -> Floats:
-    """Elementary effects per whole range, (trajectories, factors): the open values, the sea.
+    """Elementary effects per whole range, (trajectories, factors): the open parameters, the sea.
 
     NaN where one of the two sets cannot run.
     """
-    fields, count = [value.field for value in open_values()], settings.screening.levels
+    fields, count = open_fields(), settings.screening.levels
     levels = np.round(_shares(evaluations, fields) * count - 0.5)
     levels = np.column_stack([levels, evaluations[SEA].to_numpy(float)])
     factors = levels.shape[1]
@@ -84,9 +85,9 @@ def screening_table(evaluations: pd.DataFrame, settings: Study) -> pd.DataFrame:
     All are in units of `on_scale` per whole range. Seas have no order and no distance: theirs
     are scaled alike, so that a step between levels compares with a step between seas.
     ``effects`` is how many there are. ``mu_star_normalised`` is relative to the largest of
-    the number's over the open values.
+    the number's over the open parameters.
     """
-    factors = [*(value.field for value in open_values()), SEA]
+    factors = [*open_fields(), SEA]
     generator = settings.generator(3)
     tables = []
     for number in number_names(evaluations):
@@ -122,14 +123,14 @@ def importance(table: pd.DataFrame) -> pd.Series[float]:
 
 
 def important(table: pd.DataFrame, settings: Study) -> list[str]:
-    """The values that count as important, in the order of the open values."""
-    first = importance(table).drop(SEA).index[: settings.important.values]
-    return [value.field for value in open_values() if value.field in first]
+    """The values that count as important, in the order of the open parameters."""
+    first = importance(table).drop(SEA).index[: settings.important]
+    return [field for field in open_fields() if field in first]
 
 
 def emulators(evaluations: pd.DataFrame, settings: Study) -> dict[str, Emulator]:
     """For each headline number an emulator in the values that the design varies."""
-    evaluations = judged(evaluations)
+    evaluations = complete(evaluations)
     shares = _shares(evaluations, varied(evaluations))
     return {
         number: fitted(shares, on_scale(evaluations, number), settings.design.degrees)
@@ -139,8 +140,7 @@ def emulators(evaluations: pd.DataFrame, settings: Study) -> dict[str, Emulator]
 
 def varied(evaluations: pd.DataFrame) -> list[str]:
     """Fields of the values that differ between the sets of a table."""
-    fields = [value.field for value in open_values()]
-    return [one for one in fields if np.ptp(evaluations[one]) > 0]
+    return [one for one in open_fields() if np.ptp(evaluations[one]) > 0]
 
 
 def index_table(evaluations: pd.DataFrame, settings: Study) -> pd.DataFrame:
@@ -149,7 +149,7 @@ def index_table(evaluations: pd.DataFrame, settings: Study) -> pd.DataFrame:
     ``degree`` is the emulator's, ``explained`` the share of the variance in the design that it
     predicts where the point is left out; the indices are shares of what it predicts.
     """
-    evaluations = judged(evaluations)
+    evaluations = complete(evaluations)
     fields = varied(evaluations)
     shares = _shares(evaluations, fields)
     points = indices_sample(len(fields), settings.design.indices_sample, settings.seed)
@@ -196,7 +196,7 @@ def prediction_table(
     (and the sea) change, found by judging the same draw with and without them.
     """
     fields = varied(designed)
-    evaluations, screened = judged(evaluations, len(DRAWN)), judged(screened)
+    evaluations, screened = complete(evaluations, len(DRAWN)), complete(screened)
     alone = evaluations[evaluations["drawn"] == ALONE]
     rows = []
     for number, emulator in emulators(designed, settings).items():
@@ -207,6 +207,7 @@ def prediction_table(
             predicted = emulator(_shares(table, fields))
             stated = emulator.left_out if drawn == ALONE else errors
             low, high = np.quantile(stated, settings.quantiles)
+            correlation = rank_correlation(pd.Series(values), pd.Series(predicted))
             inside = (low <= values - predicted) & (values - predicted <= high)
             rows.append(
                 {
@@ -214,11 +215,11 @@ def prediction_table(
                     "drawn": drawn,
                     "draws": len(values),
                     "spread": float(np.std(values)),
-                    "rmse": _root_mean_square(values - predicted),
+                    "rmse": root_mean_square_error(values - predicted),
                     "explained": _explained(values, predicted),
-                    "rank_correlation": _rank_correlation(values, predicted),
+                    "rank_correlation": float(np.nan_to_num(correlation)),
                     "coverage": float(np.mean(inside)),
-                    "left": _root_mean_square(values - on_scale(alone, number)),
+                    "left": root_mean_square_error(values - on_scale(alone, number)),
                 }
             )
     return pd.DataFrame(rows)
@@ -234,10 +235,6 @@ def _ends(estimates: Floats, replicates: Floats, settings: Study) -> Floats:
     return np.array([np.minimum(low, estimates), np.maximum(high, estimates)])
 
 
-def _root_mean_square(errors: Floats) -> float:
-    return float(np.sqrt(np.mean(errors**2)))
-
-
 def _explained(values: Floats, predicted: Floats) -> float:
     """One less the ratio of the mean square error to the variance; 0 where there is none."""
     variance = float(np.var(values))
@@ -246,12 +243,5 @@ def _explained(values: Floats, predicted: Floats) -> float:
 
 def _shares(evaluations: pd.DataFrame, fields: Sequence[str]) -> Floats:
     """Values of a table as shares of their ranges, (sets, fields)."""
-    of = {value.field: value for value in open_values()}
+    of = {value.field: value for value in plausible_ranges()}
     return np.array([[of[one].share(value) for value in evaluations[one]] for one in fields]).T
-
-
-def _rank_correlation(values: Floats, predicted: Floats) -> float:
-    """Spearman's; 0 where all values are one."""
-    if np.ptp(values) == 0 or np.ptp(predicted) == 0:
-        return 0.0
-    return float(spearmanr(values, predicted).statistic)

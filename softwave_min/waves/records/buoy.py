@@ -37,7 +37,7 @@ class _Entry:
 
 
 def read_spectrum(
-    path: Path,
+    path: Path | str,
     time: datetime | None = None,
     file_format: FileFormat = "detect",
     *,
@@ -47,7 +47,7 @@ def read_spectrum(
 
     Parameters
     ----------
-    path : Path
+    path : Path or str
         The file, plain or compressed (``.gz``).
     time : datetime, optional
         Time of the record, UTC unless it has a zone. It selects the record of an NDBC
@@ -64,6 +64,7 @@ def read_spectrum(
     ParameterError
         One line with file, line and fault, or if there is no record of that time.
     """
+    path = Path(path)
     moment = universal(time) if time else None
     found = _format_of(path) if file_format == "detect" else file_format
     if found == "ndbc":

@@ -1,4 +1,4 @@
-"""The register of open points: all there, switches that switch, links that lead somewhere."""
+"""The open points: all there, switches that switch, links that lead somewhere."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 import small_book
+from book_pages import words
 from browser import browser_executable
+from bs4 import BeautifulSoup
 from playwright.sync_api import sync_playwright
 from pydantic import ValidationError
 from small_book import FILTERED
@@ -20,7 +22,7 @@ from softwave_min.paper.open_points import OpenPoint, Switch, open_points
 from softwave_min.parameters import SET_NAMES, parameter_set
 from softwave_min.runs.store import Store
 from softwave_min.studies.open_points import GROUPS
-from softwave_min.studies.ranges import GAIN, GRADATION, open_values
+from softwave_min.studies.ranges import GAIN, GRADATION, plausible_ranges
 
 POINTS = {one.id: one for one in open_points()}
 SWITCHES = [
@@ -75,15 +77,15 @@ def test_no_point_is_missing():
     assert list(POINTS) == [f"A{number:02d}" for number in range(1, 52)]
 
 
-def test_every_point_that_a_chapter_mentions_is_registered():
+def test_every_point_that_a_chapter_mentions_is_there():
     mentioned = set().union(*pages_with_points().values())
     assert mentioned
     assert mentioned <= set(POINTS)
 
 
-def test_points_of_open_values_are_registered_with_a_switch_for_each():
-    for value in open_values():
-        fields = {switch.field for switch in POINTS[value.ambiguity].switches}
+def test_points_with_a_plausible_range_have_a_switch_for_each():
+    for value in plausible_ranges():
+        fields = {switch.field for switch in POINTS[value.open_point].switches}
         assert (GAIN if value.field == GRADATION else value.field) in fields
 
 
@@ -201,11 +203,10 @@ def bound(folder, table=None):
     """A book of that page alone, with the effects if there are any; what its builder said."""
     source = folder / "book"
     source.mkdir()
-    shutil.copytree(ROOT / "data" / "paper", folder / "data" / "paper")
-    shutil.copyfile(BOOK / "register.md", source / "index.md")
+    shutil.copyfile(BOOK / "open_points.md", source / "index.md")
     if table is not None:
         Store("open_points", source / "results").write_table("points", table)
-    pages, said = small_book.bound(folder, ["myst_parser", "register", "drawing"], **FILTERED)
+    pages, said = small_book.bound(folder, ["myst_parser", "open_points", "drawing"], **FILTERED)
     return pages / "index.html", said
 
 
@@ -223,7 +224,7 @@ def page(site):
 
 def test_the_page_has_every_point_with_its_readings_and_its_link(page):
     text, said = page
-    assert re.findall(r'<tr [^>]*id="(a\d\d)"', text) == [name.lower() for name in POINTS]
+    assert re.findall(r'id="point-(a\d\d)"', text) == [name.lower() for name in POINTS]
     assert text.count('class="reading-taken"') == len(POINTS)
     for point in POINTS.values():  # the other pages are not in this book, and that is said
         assert f"/{point.page}" in said
@@ -232,7 +233,7 @@ def test_the_page_has_every_point_with_its_readings_and_its_link(page):
 
 def test_the_snippet_of_the_page_runs():
     (snippet,) = re.findall(
-        r"^```python\n(.*?)^```", source_of("register"), re.DOTALL | re.MULTILINE
+        r"^```python\n(.*?)^```", source_of("open_points"), re.DOTALL | re.MULTILINE
     )
     reader = {"__name__": "reader"}
     exec(snippet, reader)
@@ -252,9 +253,8 @@ def test_the_page_counts_the_points(page):
 
 def cells(text, point):
     """Text of the cells of a point's row."""
-    (row,) = re.findall(rf'<tr [^>]*id="{point.lower()}".*?</tr>', text, re.DOTALL)
-    found = re.findall(r"<td.*?</td>", row, re.DOTALL)
-    return [" ".join(re.sub(r"<.*?>", " ", cell).split()) for cell in found]
+    row = BeautifulSoup(text, "html.parser").find(id=f"point-{point.lower()}").find_parent("tr")
+    return [words(cell) for cell in row.find_all("td")]
 
 
 def test_the_page_has_the_effect_of_every_switch(page):
@@ -276,7 +276,7 @@ def test_the_page_has_the_effect_of_every_switch(page):
 
 
 def test_the_page_says_which_reading_matters_most_and_how_many_do_not(page):
-    text = " ".join(re.sub(r"<.*?>", "", page[0]).split())
+    text = words(BeautifulSoup(page[0], "html.parser"))
     assert (
         "The reading that matters most is one of A11: fluid.drag_coefficient = 1.5 changes the "
         "error on the star by +0.0123 m, 2.50 \N{MULTIPLICATION SIGN} what is allowed for."
@@ -293,6 +293,16 @@ def test_the_sentences_follow_the_table(tmp_path):
     table.loc[table["field"] == "sea.depth", ["times", "rise_times", "rise"]] = 9.0, 9.0, 31.5
     text = bound(tmp_path, table)[0].read_text(encoding="utf-8")
     assert "one of A30: sea.depth" in text
+    assert "cannot run: the sea is not finite" in text
+
+
+def test_text_from_the_results_is_shown_as_it_is(tmp_path):
+    """What a table says must not become markup."""
+    odd = "a <b>bold</b> {ref}`word`, *this* [too](x) $x$ & `that` | _all_"
+    table = effects()
+    table.loc[table["field"] == "arm.density", "status"] = odd
+    text = bound(tmp_path, table)[0].read_text(encoding="utf-8")
+    assert odd in cells(text, "A33")[5]
 
 
 def test_a_page_without_measurements_says_so(tmp_path):
