@@ -34,7 +34,7 @@ def draw_files(store: Store, parameters: ParameterSet) -> None:
     finally:
         plt.close("all")  # a worker draws for many experiments
     record = store.provenance()
-    tables = record["identity"]["tables"]
+    tables = record.get("identity", {}).get("tables", {})
     # What identifies the tables identifies the runs, whose files are on no other machine.
     files = file_digests((path for path in read if path.suffix != ".npz"), store.root)
     figures = figures_identity(store.experiment, Identity(tables).digest, files, store.root)
