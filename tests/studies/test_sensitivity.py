@@ -107,12 +107,12 @@ def test_indices_of_ishigamis_function():
 # --- the study, with numbers of which one knows what decides them -----------------------
 
 
+RANGES = plausible_ranges()  # a run reads no file
+
+
 def known(run):
     """Numbers that three values decide, the sea a little, and all others not."""
-    shares = {
-        value.field: value.share(value_in(run.parameters, value.field))
-        for value in plausible_ranges()
-    }
+    shares = {value.field: value.share(value_in(run.parameters, value.field)) for value in RANGES}
     first, second, third = (shares[field] for field in DECISIVE)
     sea = 0.02 * (run.parameters.sea.seed % 3 - 1)
     found = {
@@ -225,7 +225,7 @@ def test_elementary_effects_are_those_of_salib(finished):
     )
     levels = small().screening.levels
     factors = [*FIELDS, SEA]
-    of = {value.field: value for value in plausible_ranges()}
+    of = {value.field: value for value in RANGES}
     grid = np.array([[of[one].share(x) for x in evaluations[one]] for one in FIELDS])
     grid = np.column_stack([np.round(grid.T * levels - 0.5), evaluations[SEA]]) / (levels - 1)
     problem = {
