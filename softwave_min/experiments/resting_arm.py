@@ -9,11 +9,8 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+import scipy  # whose parts are loaded when they are used
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import RectBivariateSpline
-from scipy.ndimage import binary_erosion
-from scipy.optimize import least_squares
-from scipy.stats import qmc
 
 from softwave_min.arm import Arm, Structure, Values, mechanics
 from softwave_min.experiments.closed_loop import LoopRun, closed_loops
@@ -167,7 +164,7 @@ def nearest_posture(
 
     best, closest = starts[0], np.inf
     for start in starts:
-        fit = least_squares(
+        fit = scipy.optimize.least_squares(
             offset,
             start,
             jac=resting.jacobian,
@@ -192,7 +189,7 @@ def _grid_of_angles(count: int, angles: int, bound: float) -> Floats:
 
 def _spread_angles(count: int, angles: int, bound: float) -> Floats:
     """Evenly spread choices of many angles, (count, angles) in rad: Halton's sequence."""
-    return bound * (2 * qmc.Halton(angles, scramble=False).random(count) - 1)
+    return bound * (2 * scipy.stats.qmc.Halton(angles, scramble=False).random(count) - 1)
 
 
 def workspace(resting: RestingArm, bound: float, cell: float = CELL) -> Booleans:
@@ -249,7 +246,12 @@ def _last_two(resting: RestingArm, leading: Floats, dense: Floats, count: int = 
     angles = np.hstack([np.tile(leading, (len(last_two), 1)), last_two])
     on_grid = resting.tips(angles).reshape(count, count, 2)
     return np.stack(
-        [RectBivariateSpline(nodes, nodes, on_grid[..., i])(dense, dense).ravel() for i in (0, 1)],
+        [
+            scipy.interpolate.RectBivariateSpline(nodes, nodes, on_grid[..., i])(
+                dense, dense
+            ).ravel()
+            for i in (0, 1)
+        ],
         axis=-1,
     )
 
@@ -268,7 +270,7 @@ def area(cells: Booleans, cell: float = CELL) -> tuple[float, float]:
 
     Cells on the rim count half: the rim may pass anywhere through them.
     """
-    inner = np.count_nonzero(binary_erosion(cells))
+    inner = np.count_nonzero(scipy.ndimage.binary_erosion(cells))
     rim = np.count_nonzero(cells) - inner
     return float((inner + rim / 2) * cell**2), float(rim / 2 * cell**2)
 
