@@ -24,7 +24,8 @@ import myst
 import pandas as pd
 from sphinx.application import Sphinx
 
-from softwave_min.paper.claims import MINUS, data_entry
+from softwave_min.paper.claims import MINUS
+from softwave_min.paper.entries import data_entry
 
 
 def cell(path: Path, row: str, column: str) -> str:

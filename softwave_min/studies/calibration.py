@@ -29,7 +29,7 @@ from pydantic.dataclasses import dataclass as validated
 
 from softwave_min.data import ParameterError, data_folder, read_toml
 from softwave_min.experiments.closed_loop import prepare
-from softwave_min.paper.claims import claims
+from softwave_min.paper.entries import paper_entry
 from softwave_min.parameters import (
     Count,
     ParameterSet,
@@ -93,13 +93,11 @@ class Search:
 
 
 def search_settings() -> Search:
-    """What data/studies/calibration.toml fixes, with the numbers of the claims that it names."""
+    """What data/studies/calibration.toml fixes, with the paper's numbers that it refers to."""
     path = data_folder() / "studies" / "calibration.toml"
-    entries, cited = read_toml(path), {claim.id: claim for claim in claims()}
+    entries = read_toml(path)
     for number in entries["number"]:
-        claim = cited[number["claim"]]
-        if claim.paper is not None:
-            number |= {"paper": claim.paper, "at_most": claim.test == "at_most"}
+        number["paper"] = paper_entry(number["paper"])
     return validate(Search, entries, source=path)
 
 
