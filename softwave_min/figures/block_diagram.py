@@ -13,8 +13,8 @@ from matplotlib.patches import FancyBboxPatch, Rectangle
 
 from softwave_min.arm import Arm
 from softwave_min.control.baseline import InnerLoop
-from softwave_min.control.problem import Problem
 from softwave_min.control.preview import Preview
+from softwave_min.control.problem import Problem
 from softwave_min.figures.style import GREY, INK, Drawing
 from softwave_min.simulation import ClosedLoop, Command, NmpcController
 from softwave_min.simulation.plant import Plant

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softwave_min.control.baseline import Correction
-from softwave_min.control.problem import Problem, Solution, Solver, Status
 from softwave_min.control.preview import Preview, noise_deviation
+from softwave_min.control.problem import Problem, Solution, Solver, Status
 from softwave_min.simulation.backends import engine_or_none, solver_of
 from softwave_min.simulation.scenario import Scenario
 
