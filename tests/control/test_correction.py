@@ -16,10 +16,10 @@ def test_the_load_that_is_fed_forward_is_that_of_the_forecast_with_its_noise(nom
     parameters = replace(nominal, baseline=gains, simulation=simulation)
     sea = Sea.random(parameters.sea, parameters.fluid.gravity)
     scenario = Scenario.build(parameters, sea, poses()["P3"])
-    arm, preview = scenario.arm, preview_of(scenario)
+    arm, preview = scenario.arm, preview_of(scenario)  # forecasts as the correction gets them
     q, planned = np.array([0.3, -0.2, 0.1]), np.array([0.4, 0.1, -0.3])
     state = np.concatenate([q, [0.5, -0.4, 0.2]])
-    correction = Correction(arm, gains, scenario.period, preview)
+    correction = Correction(arm, gains, scenario.period, preview_of(scenario))
     shifts = []
     for step in range(3):
         present = preview.at(step)
