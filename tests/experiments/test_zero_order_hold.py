@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softwave_min.control.preview import Forecast
 from softwave_min.control.problem import Problem
+from softwave_min.control.preview import Forecast
 from softwave_min.experiments.zero_order_hold import Told, held_flow, held_reference
 
 
