@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from softwave_min.experiments.places import in_sea
 from softwave_min.paper.cases import WaveCase, wave_cases
 from softwave_min.paper.numbers import spectra
 from softwave_min.parameters import ParameterSet, SeaParameters
@@ -50,23 +51,11 @@ class SeaRecord:
 
 def runs(parameters: ParameterSet) -> list[Run]:
     """One run per wave case."""
-    chosen = spectra()
+    chosen, gravity = spectra(), parameters.fluid.gravity
+    seas = {name: in_sea(parameters, name, chosen.significant_height).sea for name in wave_cases()}
     return [
-        Run(
-            case.name,
-            compute,
-            SeaRecord(
-                case,
-                replace(
-                    parameters.sea,
-                    peak_period=case.peak_period,
-                    significant_height=chosen.significant_height,
-                ),
-                parameters.fluid.gravity,
-                chosen.window,
-            ),
-        )
-        for case in wave_cases().values()
+        Run(name, compute, SeaRecord(case, seas[name], gravity, chosen.window))
+        for name, case in wave_cases().items()
     ]
 
 
@@ -83,11 +72,8 @@ def compute(record: SeaRecord) -> dict[str, NDArray[Any]]:
     """
     sea = record.sea
     frequency_hz = np.arange(0.0, CURVE_END_HZ + CURVE_STEP_HZ / 2, CURVE_STEP_HZ)
-    curve = Spectrum(
-        frequency_hz,
-        jonswap_density(
-            frequency_hz, sea.significant_height, sea.peak_period, sea.peak_enhancement
-        ),
+    density = jonswap_density(
+        frequency_hz, sea.significant_height, sea.peak_period, sea.peak_enhancement
     )
     time = np.linspace(0.0, record.window, round(record.window / INTERVAL) + 1)
 
@@ -95,7 +81,7 @@ def compute(record: SeaRecord) -> dict[str, NDArray[Any]]:
         return Sea.random(replace(sea, seed=seed), record.gravity).elevation(0.0, time)
 
     found = {
-        "curve": [curve],
+        "curve": [Spectrum(frequency_hz, density)],
         "record": [_record_spectrum(elevation(sea.seed), time)],
         "sample": [_record_spectrum(elevation(seed), time) for seed in range(RECORDS)],
     }
@@ -105,8 +91,8 @@ def compute(record: SeaRecord) -> dict[str, NDArray[Any]]:
         for quantity, _ in QUANTITIES
     }
     return {
-        "frequency_hz": curve.frequency_hz,
-        "density": curve.density,
+        "frequency_hz": frequency_hz,
+        "density": density,
         "time": time,
         "elevation": elevation(sea.seed),
         **estimates,

@@ -99,59 +99,45 @@ class Sea:
         H_s^2/16. The phases depend on seed and number of components alone: seas of
         one seed differ in height and period only.
         """
-        frequency_hz, width = _bins(
-            parameters.lowest_frequency_hz, parameters.highest_frequency_hz, parameters.components
-        )
+        frequency_hz, _ = _bins(parameters)
         density = jonswap_density(
             frequency_hz, 1.0, parameters.peak_period, parameters.peak_enhancement
         )
-        variance = parameters.significant_height**2 / 16
-        return cls._of_components(
-            frequency_hz,
-            _amplitudes(density, width, variance),
-            parameters.depth,
-            gravity,
-            np.random.default_rng(parameters.seed),
-        )
+        return cls._of_density(density, parameters.significant_height**2 / 16, parameters, gravity)
 
     @classmethod
-    def from_spectrum(
-        cls,
-        spectrum: Spectrum,
-        band_hz: tuple[float, float],
-        components: int,
-        *,
-        depth: float,
-        gravity: float,
-        rng: np.random.Generator,
-    ) -> Self:
-        """A sea of any spectrum, cut into equal bins of ``band_hz`` as in `random`.
+    def measured(cls, spectrum: Spectrum, parameters: SeaParameters, gravity: float) -> Self:
+        """A sea with a measured spectrum in place of the JONSWAP curve.
 
-        Sum a^2/2 equals the m_0 of the whole spectrum: what lies outside the band is
-        spread over it in proportion.
+        The spectrum gives the shape; height, depth, band, number of components and phases
+        come from ``parameters``, as in `random`. ``peak_period`` and ``peak_enhancement``
+        are not read.
 
         Raises
         ------
         ValueError
-            If the spectrum has waves, but none in the middle of any bin.
+            If the spectrum has no waves, or none in the middle of any bin.
         """
-        frequency_hz, width = _bins(*band_hz, components)
-        amplitude = _amplitudes(spectrum.density_at(frequency_hz), width, spectrum.moment(0))
-        return cls._of_components(frequency_hz, amplitude, depth, gravity, rng)
+        scaled = spectrum.scaled_to(parameters.significant_height)
+        density = scaled.density_at(_bins(parameters)[0])
+        return cls._of_density(density, scaled.moment(0), parameters, gravity)
 
     @classmethod
-    def _of_components(
-        cls,
-        frequency_hz: Floats,
-        amplitude: Floats,
-        depth: float,
-        gravity: float,
-        rng: np.random.Generator,
+    def _of_density(
+        cls, density: Floats, variance: float, parameters: SeaParameters, gravity: float
     ) -> Self:
+        """Components of a density in the middle of each bin, so that sum a^2/2 = variance."""
+        frequency_hz, width = _bins(parameters)
         frequency = 2 * math.pi * frequency_hz
-        phase = rng.uniform(0, 2 * math.pi, len(frequency))
-        number = wave_number(frequency, depth, gravity)
-        return cls(frequency, amplitude, number, phase, depth, gravity)
+        rng = np.random.default_rng(parameters.seed)
+        return cls(
+            frequency,
+            _amplitudes(density, width, variance),
+            wave_number(frequency, parameters.depth, gravity),
+            rng.uniform(0, 2 * math.pi, len(frequency)),
+            parameters.depth,
+            gravity,
+        )
 
     def elevation(self, x: ArrayLike, t: ArrayLike) -> Floats:
         """Surface elevation zeta(x, t), in m (paper, eq. WaveEquation)."""
@@ -282,10 +268,11 @@ class Sea:
         return rising + falling, np.asarray(rising * -np.expm1(-2 * above_bed))
 
 
-def _bins(lowest_hz: float, highest_hz: float, count: int) -> tuple[Floats, float]:
-    """Middles and width of ``count`` equal bins."""
-    width = (highest_hz - lowest_hz) / count
-    return np.asarray(lowest_hz + width * (np.arange(count) + 0.5), dtype=float), width
+def _bins(parameters: SeaParameters) -> tuple[Floats, float]:
+    """Middles and width of the equal bins of the band, in Hz."""
+    lowest, count = parameters.lowest_frequency_hz, parameters.components
+    width = (parameters.highest_frequency_hz - lowest) / count
+    return np.asarray(lowest + width * (np.arange(count) + 0.5), dtype=float), width
 
 
 def _amplitudes(density: Floats, width: float, variance: float) -> Floats:

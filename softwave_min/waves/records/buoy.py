@@ -6,7 +6,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Literal
 
-import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
@@ -105,11 +104,7 @@ def named_records(path: Path) -> dict[str, BuoyRecord]:
 
 
 def measured_sea(record: BuoyRecord, parameters: SeaParameters, gravity: float) -> Sea:
-    """A sea with a measured spectrum in place of the JONSWAP curve.
-
-    Height, depth, band, number of components and phases come from ``parameters``, as in
-    `Sea.random`; the record gives the shape. ``peak_period`` and ``peak_enhancement``
-    are not read.
+    """`Sea.measured` with the spectrum of a record.
 
     Raises
     ------
@@ -117,14 +112,7 @@ def measured_sea(record: BuoyRecord, parameters: SeaParameters, gravity: float) 
         If the record has no waves in the band.
     """
     try:
-        return Sea.from_spectrum(
-            record.spectrum.scaled_to(parameters.significant_height),
-            (parameters.lowest_frequency_hz, parameters.highest_frequency_hz),
-            parameters.components,
-            depth=parameters.depth,
-            gravity=gravity,
-            rng=np.random.default_rng(parameters.seed),
-        )
+        return Sea.measured(record.spectrum, parameters, gravity)
     except ValueError as error:
         raise ParameterError(f"record of {record.time or 'no time'}: {error}") from None
 
