@@ -75,7 +75,7 @@ def sea_of(run: LoopRun) -> Sea:
     if run.spectrum is None:
         return Sea.random(sea, gravity)
     frequency_hz, density = (np.array(one) for one in run.spectrum)
-    return Sea.measured(Spectrum(frequency_hz, density), sea, gravity)
+    return Sea.from_spectrum(Spectrum(frequency_hz, density), sea, gravity)
 
 
 def scenario_of(run: LoopRun) -> Scenario:

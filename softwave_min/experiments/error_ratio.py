@@ -8,7 +8,7 @@ the loads on the controlled arm here, and on a fixed arm in `fixed_arm`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import permutations
 from typing import Any
 
@@ -179,18 +179,20 @@ def trends(table: pd.DataFrame) -> pd.DataFrame:
 
     -1 where the reduction grows with every step of the height.
     """
+    endings = [f"{name}{ending}" for name in others() for ending in WINDOWS.values()]
+    pairs = {f"correlation_{ending}": ("Hs", f"ratio_{ending}") for ending in endings}
+    return _correlations(table, ["wave", "pose", "seed"], pairs)
+
+
+def _correlations(
+    table: pd.DataFrame, keys: list[str], pairs: Mapping[str, tuple[str, str]]
+) -> pd.DataFrame:
+    """Rank correlations of pairs of columns, by name, within each group of the keys."""
+    groups = table.groupby(keys, sort=False)
     return pd.DataFrame(
-        [
-            {"wave": wave, "pose": pose, "seed": seed}
-            | {
-                f"correlation_{name}{ending}": rank_correlation(
-                    rows.Hs, rows[f"ratio_{name}{ending}"]
-                )
-                for name in others()
-                for ending in WINDOWS.values()
-            }
-            for (wave, pose, seed), rows in table.groupby(["wave", "pose", "seed"], sort=False)
-        ]
+        dict(zip(keys, key, strict=True))
+        | {name: rank_correlation(rows[x], rows[y]) for name, (x, y) in pairs.items()}
+        for key, rows in groups
     )
 
 
@@ -242,19 +244,12 @@ def curvature_correlations(torques: pd.DataFrame, table: pd.DataFrame) -> pd.Dat
     ``curvature_torque``: is the torque lower where the arm is more curved?
     ``torque_reduction_<name>``: is the reduction of the error larger where the torque is?
     """
-    joined = torques.merge(table[[*PLACE, *(f"ratio_{name}" for name in others())]], on=PLACE)
-    keys = [*SEA, "controller"]
-    return pd.DataFrame(
-        [
-            dict(zip(keys, key, strict=True))
-            | {"curvature_torque": rank_correlation(rows.curvature, rows.torque)}
-            | {
-                f"torque_reduction_{name}": rank_correlation(rows.torque, 1 - rows[f"ratio_{name}"])
-                for name in others()
-            }
-            for key, rows in joined.groupby(keys, sort=False)
-        ]
-    )
+    joined = torques.merge(table, on=PLACE)
+    pairs = {"curvature_torque": ("curvature", "torque")}
+    for name in others():
+        joined[f"reduction_{name}"] = 1 - joined[f"ratio_{name}"]
+        pairs[f"torque_reduction_{name}"] = ("torque", f"reduction_{name}")
+    return _correlations(joined, [*SEA, "controller"], pairs)
 
 
 def depth_pairs(torques: pd.DataFrame, table: pd.DataFrame) -> pd.DataFrame:

@@ -28,38 +28,22 @@ _PER_COMPONENT = ("angular_frequency", "amplitude", "wave_number", "phase")
 class Sea:
     """Wave components: elevation = sum a_i cos(k_i x - w_i t + phi_i).
 
-    Attributes
-    ----------
-    angular_frequency : ndarray, shape (N,)
-        w, in rad/s.
-    amplitude : ndarray, shape (N,)
-        a = A/2, in m, where A is the paper's crest-to-trough 'amplitude'.
-    wave_number : ndarray, shape (N,)
-        k, in rad/m.
-    phase : ndarray, shape (N,)
-        phi, in rad.
-    depth : float
-        Water depth d, in m.
-    gravity : float
-        g, in m/s^2.
-
-    Raises
-    ------
-    ValueError
-        If the vectors differ in length.
-
-    Notes
-    -----
-    The arrays are read-only copies. Methods take x, z, t of any shapes that
-    broadcast and return that shape.
+    The vectors have one length N, or a ValueError says so, and are kept as read-only copies.
+    Methods take x, z, t of any shapes that broadcast and return that shape.
     """
 
     angular_frequency: Floats
+    """w, in rad/s."""
     amplitude: Floats
+    """a = A/2, in m, where A is the paper's crest-to-trough 'amplitude'."""
     wave_number: Floats
+    """k, in rad/m."""
     phase: Floats
+    """phi, in rad."""
     depth: float
+    """Water depth d, in m."""
     gravity: float
+    """g, in m/s^2."""
 
     def __post_init__(self) -> None:
         for name in _PER_COMPONENT:
@@ -106,8 +90,8 @@ class Sea:
         return cls._of_density(density, parameters.significant_height**2 / 16, parameters, gravity)
 
     @classmethod
-    def measured(cls, spectrum: Spectrum, parameters: SeaParameters, gravity: float) -> Self:
-        """A sea with a measured spectrum in place of the JONSWAP curve.
+    def from_spectrum(cls, spectrum: Spectrum, parameters: SeaParameters, gravity: float) -> Self:
+        """A sea with any spectrum, such as a measured one, in place of the JONSWAP curve.
 
         The spectrum gives the shape; height, depth, band, number of components and phases
         come from ``parameters``, as in `random`. ``peak_period`` and ``peak_enhancement``
@@ -173,16 +157,8 @@ class Sea:
 
         ``u - i w = sum_nm C[j, n, m] (Z - Z_0)^n (t - t_j)^m``.
 
-        The local acceleration is the derivative of this in t.
-
-        Parameters
-        ----------
-        centre : tuple of float
-            (x_0, z_0), in m.
-        times : array_like, shape (T,)
-            t_j, in s.
-        space_order, time_order : int
-            Highest powers kept.
+        The local acceleration is the derivative of this in t. ``centre`` is (x_0, z_0) in m,
+        ``times`` are the t_j in s, the orders the highest powers kept.
 
         Returns
         -------
@@ -222,18 +198,9 @@ class Sea:
         ``|error| <= sum_i U_i [ sum_(j>n) (k_i r)^j / j!
         + sum_(j<=n) (k_i r)^j / j! (w_i tau)^(m+1) / (m+1)! ]``
 
-        Parameters
-        ----------
-        centre : tuple of float
-            (x_0, z_0), in m.
-        radius : float
-            Largest distance r from the centre, in m.
-        half_interval : float
-            Largest |t - t_j|, tau, in s.
-        space_order, time_order : int
-            Highest powers kept, n and m.
-        time_derivative : int
-            0 bounds the velocity in m/s, 1 the acceleration in m/s^2.
+        ``centre`` is (x_0, z_0), ``radius`` the largest distance r from it, in m,
+        ``half_interval`` the largest |t - t_j|, tau, in s; the orders n and m are the highest
+        powers kept. ``time_derivative`` 0 bounds the velocity in m/s, 1 the acceleration in m/s^2.
         """
         reach = self.wave_number * radius
         kept_time = time_order - time_derivative

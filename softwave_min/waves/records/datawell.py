@@ -24,12 +24,7 @@ def read_datawell(path: Path, time: datetime | None = None) -> BuoyRecord:
     S/S_max, direction, spread, skewness, kurtosis. Only H_s, S_max and the first two
     columns are read.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    time : datetime, optional
-        Time of the record, UTC: the file has none in it.
+    The record is given ``time``, UTC, for the file has none in it.
 
     Raises
     ------
