@@ -76,9 +76,8 @@ def lag_and_correlation(first: Floats, second: Floats, period: float) -> tuple[f
     a, b = first - first.mean(), second - second.mean()
     scale = np.sqrt((a @ a) * (b @ b))
     shifts = np.arange(-reach, reach + 1)
-    values = [
-        (a[: len(a) - s] @ b[s:] if s >= 0 else a[-s:] @ b[: len(b) + s]) / scale for s in shifts
-    ]
+    products = [a[: len(a) - s] @ b[s:] if s >= 0 else a[-s:] @ b[: len(b) + s] for s in shifts]
+    values = products / scale
     best = int(np.argmax(np.abs(values)))
     return float(shifts[best] * period), float(values[best])
 

@@ -61,8 +61,7 @@ def fixed_arm_loads(run: FixedArm) -> dict[str, NDArray[Any]]:
 
 def rms(series: Floats) -> Floats:
     """Root mean square of every column."""
-    level: Floats = np.sqrt(np.mean(series**2, axis=0))
-    return level
+    return np.asarray(np.sqrt(np.mean(series**2, axis=0)))
 
 
 def _planned_posture(parameters: ParameterSet, target: Point) -> Floats:
@@ -70,8 +69,7 @@ def _planned_posture(parameters: ParameterSet, target: Point) -> Floats:
     period, duration = parameters.nmpc.control_period, parameters.simulation.duration
     planner = KinematicPlanner(_raised(parameters, 0.0), parameters.baseline, period)
     path = np.tile(target, (round(duration / period), 1))
-    posture: Floats = planner.path(np.zeros(parameters.arm.segments), path)[-1]
-    return posture
+    return np.asarray(planner.path(np.zeros(parameters.arm.segments), path)[-1])
 
 
 def _raised(parameters: ParameterSet, rise: float) -> Arm:

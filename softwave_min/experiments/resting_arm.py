@@ -17,12 +17,7 @@ from scipy.stats import qmc
 
 from softwave_min.arm import Arm, Structure, Values, mechanics
 from softwave_min.experiments.closed_loop import LoopRun, closed_loops
-from softwave_min.parameters import (
-    ArmParameters,
-    FailureParameters,
-    FluidParameters,
-    ParameterSet,
-)
+from softwave_min.parameters import ArmParameters, FailureParameters, FluidParameters, ParameterSet
 
 Floats = NDArray[np.float64]
 Booleans = NDArray[np.bool_]

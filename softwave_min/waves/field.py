@@ -63,13 +63,7 @@ class Sea:
     def regular(
         cls, height: float, period: float, depth: float, gravity: float, phase: float = 0.0
     ) -> Self:
-        """One wave of crest-to-trough ``height`` in m and ``period`` in s.
-
-        Raises
-        ------
-        ValueError
-            If period, depth or gravity is not positive.
-        """
+        """One wave of crest-to-trough ``height`` in m and ``period`` > 0 in s."""
         frequency = np.array([2 * math.pi / period])
         number = wave_number(frequency, depth, gravity)
         return cls(frequency, np.array([height / 2]), number, np.array([phase]), depth, gravity)
@@ -112,16 +106,11 @@ class Sea:
     ) -> Self:
         """Components of a density in the middle of each bin, so that sum a^2/2 = variance."""
         frequency_hz, width = _bins(parameters)
-        frequency = 2 * math.pi * frequency_hz
-        rng = np.random.default_rng(parameters.seed)
-        return cls(
-            frequency,
-            _amplitudes(density, width, variance),
-            wave_number(frequency, parameters.depth, gravity),
-            rng.uniform(0, 2 * math.pi, len(frequency)),
-            parameters.depth,
-            gravity,
-        )
+        frequency, depth = 2 * math.pi * frequency_hz, parameters.depth
+        amplitude = _amplitudes(density, width, variance)
+        phase = np.random.default_rng(parameters.seed).uniform(0, 2 * math.pi, len(frequency))
+        number = wave_number(frequency, depth, gravity)
+        return cls(frequency, amplitude, number, phase, depth, gravity)
 
     def elevation(self, x: ArrayLike, t: ArrayLike) -> Floats:
         """Surface elevation zeta(x, t), in m (paper, eq. WaveEquation)."""

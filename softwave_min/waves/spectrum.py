@@ -88,10 +88,7 @@ class Spectrum:
 
 
 def jonswap_density(
-    frequency_hz: ArrayLike,
-    significant_height: float,
-    peak_period: float,
-    peak_enhancement: float,
+    frequency_hz: ArrayLike, significant_height: float, peak_period: float, peak_enhancement: float
 ) -> NDArray[np.float64]:
     """JONSWAP variance density, in m^2/Hz.
 

@@ -35,17 +35,12 @@ def read_datawell(path: Path, time: datetime | None = None) -> BuoyRecord:
     # the last lines of the header may end in a degree sign of any encoding
     lines = read_lines(path, "latin-1")
     header, rows = lines[:HEADER_LINES], lines[HEADER_LINES:]
+    expected = f"expected {HEADER_LINES} lines of one number each, then rows of '{COLUMNS}'"
     for line, text in enumerate(header, start=1):
         if "," in text:
-            raise ParameterError(
-                f"{path}:{line}: not a Datawell .spt file:"
-                f" expected {HEADER_LINES} lines of one number each, then rows of '{COLUMNS}'"
-            )
+            raise ParameterError(f"{path}:{line}: not a Datawell .spt file: {expected}")
     if not rows:
-        raise ParameterError(
-            f"{path}:{len(lines)}: ends in its header: expected {HEADER_LINES} lines,"
-            f" then rows of '{COLUMNS}'"
-        )
+        raise ParameterError(f"{path}:{len(lines)}: ends in its header: {expected}")
     highest = number(path, 4, header[3])
     densities = []
     for line, text in enumerate(rows, start=HEADER_LINES + 1):

@@ -32,8 +32,7 @@ def read_table(path: Path, time: datetime | None = None) -> BuoyRecord:
         try:
             frequency, density = (float(word) for word in words)
         except ValueError:
-            raise ParameterError(
-                f"{path}:{line}: {text!r}: expected two numbers, '{', '.join(COLUMNS)}'"
-            ) from None
+            expected = f"expected two numbers, '{', '.join(COLUMNS)}'"
+            raise ParameterError(f"{path}:{line}: {text!r}: {expected}") from None
         rows.append((line, frequency, density))
     return record_of_rows(path, rows, time)
