@@ -9,7 +9,7 @@ from softwave_min.data import data_folder
 from softwave_min.experiments.closed_loop import sea_of, whole_record
 from softwave_min.experiments.example_case import EXPERIMENT, key_moments, lag_and_correlation
 from softwave_min.parameters import parameter_set
-from softwave_min.runs.identity import source_files
+from softwave_min.runs.source import source_files
 from softwave_min.simulation import ClosedLoop
 from softwave_min.waves.records import measured_sea, named_records
 
