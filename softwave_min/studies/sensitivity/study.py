@@ -89,13 +89,6 @@ def _evaluations(samples: Sequence[Sample], arrays: RunArrays) -> pd.DataFrame:
     for sample in samples:
         found = arrays[sample.name]
         numbers = {} if "failure" in found else {name: float(found[name]) for name in found}
-        rows.append(
-            {
-                "sample": sample.name,
-                **({"drawn": sample.drawn} if sample.drawn else {}),
-                SEA: sample.sea,
-                **sample.values,
-                **numbers,
-            }
-        )
+        drawn = {"drawn": sample.drawn} if sample.drawn else {}
+        rows.append({"sample": sample.name, **drawn, SEA: sample.sea, **sample.values, **numbers})
     return pd.DataFrame(rows)
