@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,6 @@ from softwave_min.simulation import (
     REFERENCE,
     ClosedLoop,
     Scenario,
-    compile_engine,
     root_mean_square_error,
     simulate,
 )
@@ -96,18 +95,6 @@ def sea_of(run: LoopRun) -> Sea:
 def scenario_of(run: LoopRun) -> Scenario:
     """Arm, sea and path of a run."""
     return Scenario.build(run.parameters, sea_of(run), np.array(run.path))
-
-
-class _Prepared(Protocol):
-    @property
-    def parameters(self) -> Any: ...
-
-
-def prepare(run: _Prepared) -> None:
-    """Compile what the run needs, if its parameters are or hold a set."""
-    found = getattr(run.parameters, "parameters", run.parameters)
-    if isinstance(found, ParameterSet):
-        compile_engine(found)
 
 
 def closed_loops(run: LoopRun) -> dict[str, NDArray[Any]]:

@@ -28,7 +28,6 @@ from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass as validated
 
 from softwave_min.data import ParameterError, data_folder, read_toml
-from softwave_min.experiments.closed_loop import prepare
 from softwave_min.paper.claims import claims
 from softwave_min.parameters import (
     Count,
@@ -215,7 +214,6 @@ def _evaluated(
         claims=tuple(one.claim for one in search.number),
         runs=lambda _: runs,
         tabulate=lambda _, arrays: _tables(runs, search, arrays),
-        prepare=prepare,
     )
     compute(generation, parameter_set(START), store, workers)
     return store.read_table("evaluations")
