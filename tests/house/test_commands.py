@@ -438,7 +438,7 @@ def test_what_is_compared_was_made_here_though_the_committed_tables_stay(tmp_pat
 def house(tmp_path):
     """A copy of what determines the results, with the results that are committed."""
     for name in ("softwave_min", "data", "results"):
-        ignored = shutil.ignore_patterns("runs", "__pycache__")
+        ignored = shutil.ignore_patterns("__pycache__", *["runs"] * (name == "results"))
         shutil.copytree(ROOT / name, tmp_path / name, ignore=ignored)
     shutil.copy(ROOT / "environment.lock", tmp_path)
     return tmp_path
