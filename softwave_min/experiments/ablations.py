@@ -44,7 +44,6 @@ from softwave_min.paper.cases import poses, wave_cases
 from softwave_min.parameters import ParameterSet
 from softwave_min.runs.experiment import Experiment, Run, RunArrays, Tables, Tolerance
 from softwave_min.runs.statistics import over_seas
-from softwave_min.simulation import compile_engine
 
 SEAS = 3
 """Random seas, unless the parameters ask for more than one."""
@@ -180,13 +179,6 @@ def runs(parameters: ParameterSet) -> Sequence[Run]:
             for name, _, one in _on_star(parameters)
         ),
     ]
-
-
-def prepare(run: Run) -> None:
-    """Compile what the ablations need, those on the star included."""
-    parameters = run.parameters.parameters
-    for one in (*pose_ablations(parameters), *star_ablations(parameters)):
-        compile_engine(varied(parameters, one.changes))
 
 
 def tabulate(parameters: ParameterSet, arrays: RunArrays) -> Tables:
@@ -342,7 +334,6 @@ EXPERIMENT = Experiment(
     claims=(),
     runs=runs,
     tabulate=tabulate,
-    prepare=prepare,
     tolerances={
         # Quotients of errors that are themselves reproduced to 1e-4.
         column: Tolerance(relative=5e-4)

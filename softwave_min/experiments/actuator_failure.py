@@ -26,7 +26,6 @@ from softwave_min.experiments.closed_loop import (
     failed_solves,
     fallbacks,
     others,
-    prepare,
 )
 from softwave_min.experiments.failures import INTACT, PAPERS_CASE, failure_cases
 from softwave_min.experiments.fixed_arm import peak_wave_number
@@ -312,7 +311,6 @@ EXPERIMENT = Experiment(
     claims=(*(f"C{number}" for number in range(48, 61)), "C70"),
     runs=runs,
     tabulate=tabulate,
-    prepare=prepare,
     tolerances={
         # Per cent of an error that is itself reproduced to 1e-4, hence points.
         column: Tolerance(absolute=0.05)

@@ -19,7 +19,6 @@ from softwave_min.simulation import (
     REFERENCE,
     ClosedLoop,
     Scenario,
-    compile_engine,
     root_mean_square_error,
     simulate,
 )
@@ -81,13 +80,6 @@ def sea_of(run: LoopRun) -> Sea:
 def scenario_of(run: LoopRun) -> Scenario:
     """Arm, sea and path of a run."""
     return Scenario.build(run.parameters, sea_of(run), np.array(run.path))
-
-
-def prepare(run: Any) -> None:
-    """Compile what a `Run` needs, if its parameters are or hold a set."""
-    found = getattr(run.parameters, "parameters", run.parameters)
-    if isinstance(found, ParameterSet):
-        compile_engine(found)
 
 
 def closed_loops(run: LoopRun) -> dict[str, NDArray[Any]]:

@@ -26,7 +26,6 @@ from softwave_min.experiments.closed_loop import (
     failed_solves,
     fallbacks,
     others,
-    prepare,
 )
 from softwave_min.experiments.fixed_arm import curvature, torque_columns
 from softwave_min.experiments.fixed_arm_loads import rms
@@ -280,5 +279,4 @@ EXPERIMENT = Experiment(
     claims=("C01", *(f"C{number}" for number in range(30, 41))),
     runs=runs,
     tabulate=tabulate,
-    prepare=prepare,
 )

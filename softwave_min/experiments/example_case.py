@@ -19,7 +19,6 @@ from softwave_min.experiments.closed_loop import (
     LoopRun,
     controllers,
     others,
-    prepare,
     whole_record,
 )
 from softwave_min.experiments.places import in_realisation
@@ -141,5 +140,4 @@ EXPERIMENT = Experiment(
     claims=("C24", "C25", "C26", "C27", "C28", "C29"),
     runs=runs,
     tabulate=tabulate,
-    prepare=prepare,
 )

@@ -13,7 +13,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from softwave_min.experiments.closed_loop import prepare
 from softwave_min.experiments.fixed_arm_loads import FixedArm, fixed_arm_loads
 from softwave_min.experiments.places import Place, in_sea, realisations
 from softwave_min.paper.cases import poses, wave_cases
@@ -105,5 +104,4 @@ EXPERIMENT = Experiment(
     claims=("C41", "C42", "C43"),
     runs=runs,
     tabulate=tabulate,
-    prepare=prepare,
 )

@@ -13,7 +13,7 @@ from typing import Any
 import pandas as pd
 
 from softwave_min.experiments import actuator_failure, error_ratio, star
-from softwave_min.experiments.closed_loop import LoopRun, errors_alone, prepare
+from softwave_min.experiments.closed_loop import LoopRun, errors_alone
 from softwave_min.experiments.failures import INTACT, PAPERS_CASE
 from softwave_min.experiments.places import at_least
 from softwave_min.parameters import ParameterSet
@@ -85,6 +85,5 @@ EXPERIMENT = Experiment(
     claims=(),
     runs=runs,
     tabulate=tabulate,
-    prepare=prepare,
     on_request=True,
 )

@@ -13,7 +13,6 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from softwave_min.experiments.closed_loop import prepare
 from softwave_min.experiments.failures import INTACT, failure_cases
 from softwave_min.experiments.resting_arm import REACHED, Reach, RestRun, area, at_rest, reach
 from softwave_min.paper.cases import poses
@@ -80,7 +79,6 @@ EXPERIMENT = Experiment(
     claims=("C15", "C16", "C17", "C18", "C19", "C20", "C44", "C45", "C46", "C47", "C70"),
     runs=runs,
     tabulate=tabulate,
-    prepare=prepare,
     tolerances={
         # A cell of the map more or less, as rounding decides.
         "area": Tolerance(absolute=2e-3),

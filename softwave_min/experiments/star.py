@@ -15,7 +15,7 @@ import pandas as pd
 from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass as validated
 
-from softwave_min.experiments.closed_loop import failed_solves, fallbacks, others, prepare
+from softwave_min.experiments.closed_loop import failed_solves, fallbacks, others
 from softwave_min.experiments.places import in_sea, realisations
 from softwave_min.experiments.star_loops import (
     METRICS,
@@ -206,5 +206,4 @@ EXPERIMENT = Experiment(
     claims=tuple(f"C{number}" for number in range(61, 70)),
     runs=runs,
     tabulate=tabulate,
-    prepare=prepare,
 )

@@ -14,7 +14,6 @@ import pandas as pd
 from softwave_min.experiments.closed_loop import (
     failed_solves,
     fallbacks,
-    prepare,
     settled_error,
     whole_error,
 )
@@ -72,6 +71,5 @@ EXPERIMENT = Experiment(
     claims=("C69",),
     runs=runs,
     tabulate=tabulate,
-    prepare=prepare,
     on_request=True,
 )

@@ -15,7 +15,7 @@ import pandas as pd
 from pydantic import ConfigDict, Strict
 from pydantic.dataclasses import dataclass as validated
 
-from softwave_min.experiments.closed_loop import RunData, failed_solves, prepare
+from softwave_min.experiments.closed_loop import RunData, failed_solves
 from softwave_min.experiments.places import in_sea, realisations
 from softwave_min.experiments.star import Choice, choice
 from softwave_min.experiments.star_loops import (
@@ -135,7 +135,6 @@ EXPERIMENT = Experiment(
     claims=(),
     runs=runs,
     tabulate=tabulate,
-    prepare=prepare,
     tolerances={
         # Beyond its reach the arm may settle in either of two postures, as rounding decides.
         column: Tolerance(relative=0.02, absolute=1e-4)

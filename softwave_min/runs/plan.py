@@ -9,6 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from softwave_min.data import ParameterError
 from softwave_min.parameters import ParameterSet
 from softwave_min.runs.experiment import Experiment, Run
 from softwave_min.runs.identity import (
@@ -48,6 +49,15 @@ class Task:
     def runs(self) -> Sequence[Run]:
         """All runs."""
         return self.experiment.runs(self.parameters)
+
+    @cached_property
+    def refusal(self) -> str:
+        """Why the experiment cannot be run with the parameters; empty if it can."""
+        try:
+            _ = self.runs
+        except ParameterError as error:
+            return str(error)
+        return ""
 
     @cached_property
     def missing(self) -> list[Run]:

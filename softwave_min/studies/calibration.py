@@ -27,7 +27,6 @@ from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass as validated
 
 from softwave_min.data import ParameterError, data_folder, read_toml
-from softwave_min.experiments.closed_loop import prepare
 from softwave_min.paper.entries import paper_entry
 from softwave_min.parameters import (
     Count,
@@ -202,7 +201,6 @@ def _evaluated(
         claims=tuple(one.claim for one in search.number),
         runs=lambda _: runs,
         tabulate=lambda _, arrays: _tables(runs, search, arrays),
-        prepare=prepare,
     )
     compute(generation, parameter_set(START), store, workers)
     return store.read_table("evaluations")

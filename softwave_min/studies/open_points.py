@@ -19,7 +19,6 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from softwave_min.data import ParameterError
-from softwave_min.experiments.closed_loop import prepare
 from softwave_min.experiments.places import in_realisation
 from softwave_min.paper.cases import poses, wave_cases
 from softwave_min.paper.open_points import open_points
@@ -326,7 +325,6 @@ EXPERIMENT = Experiment(
     claims=(),
     runs=runs,
     tabulate=tabulate,
-    prepare=prepare,
     tolerances={
         # Differences of per cent that are themselves reproduced to 1e-4, hence points.
         column: Tolerance(relative=1e-3, absolute=0.05)

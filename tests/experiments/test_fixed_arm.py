@@ -98,10 +98,6 @@ def test_a_row_for_each_pose_and_depth_beside_the_decay(parameters, tables):
     assert depth.z.min() > -parameters.sea.depth + sum(parameters.arm.length)
 
 
-def test_a_sweep_prepares_for_it(parameters):
-    EXPERIMENT.prepare(EXPERIMENT.runs(parameters)[-1])
-
-
 def test_the_figure_is_the_same_bytes_again(parameters, tables, tmp_path):
     store = Store("fixed_arm", tmp_path)
     for stem, table in tables.items():

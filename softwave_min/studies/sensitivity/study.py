@@ -21,7 +21,6 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from softwave_min.experiments.closed_loop import prepare
 from softwave_min.parameters import parameter_set
 from softwave_min.runs.executor import Executor
 from softwave_min.runs.experiment import Experiment, RunArrays, Tables
@@ -62,7 +61,6 @@ def _evaluate(samples: Sequence[Sample], store: Store, workers: Executor, settin
         claims=(),
         runs=lambda _: runs,
         tabulate=lambda _, arrays: _tables(samples, settings, arrays),
-        prepare=prepare,
     )
     compute(step, parameter_set(settings.base), store, workers)
 
