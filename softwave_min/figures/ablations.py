@@ -174,10 +174,7 @@ def _opponents(heights: pd.DataFrame, summary: pd.DataFrame) -> Drawing:
 
 
 def _speed(spreads: pd.DataFrame, failures: str) -> Drawing:
-    looks = {
-        "whole": ("whole run", INK),
-        "settled": (f"without the first {TRANSIENT:g} s", ORANGE),
-    }
+    looks = {"whole": ("whole run", INK), "settled": (f"without the first {TRANSIENT:g} s", ORANGE)}
     figure = Figure(figsize=(7.0, 2.8))
     left, right = figure.subplots(1, 2)
     numbers = ["error", "spread", "spread_least", "spread_most"]

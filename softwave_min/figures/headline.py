@@ -114,13 +114,7 @@ class _Stage:
         """Lay the postures of every second over each other, with the path of the tip."""
         for view, side, every in zip(self._views, self._sides, bodies, strict=True):
             for body in every[:: round(1.0 / side.period)]:
-                view.plot(
-                    *body.T,
-                    color=side.look.face,
-                    linestyle="-",
-                    linewidth=2.2,
-                    alpha=0.22,
-                )
+                view.plot(*body.T, color=side.look.face, linestyle="-", linewidth=2.2, alpha=0.22)
             tips = side.loop.tips[first : first + len(every), -1]
             view.plot(*tips.T, color=INK, linestyle="-", linewidth=0.7)
 
@@ -153,24 +147,13 @@ class _Stage:
 
     def _furnish(self, view: Axes, side: Side) -> None:
         view.set_aspect("equal")
-        view.set(
-            xlim=VIEW[:2],
-            ylim=VIEW[2:],
-            xlabel="x, m",
-            ylabel="z, m",
-            title=side.look.label,
-        )
+        view.set(xlim=VIEW[:2], ylim=VIEW[2:], xlabel="x, m", ylabel="z, m", title=side.look.label)
         view.plot(*self._base, marker="s", color=INK, markersize=7)
         view.plot(*side.loop.target[-1], marker="x", color=INK, markersize=11, zorder=5)
 
     def _movable(self, view: Axes, side: Side) -> tuple[Quiver, Line2D, Line2D]:
         (body,) = view.plot(
-            [],
-            [],
-            color=side.look.face,
-            linestyle="-",
-            linewidth=7,
-            solid_capstyle="round",
+            [], [], color=side.look.face, linestyle="-", linewidth=7, solid_capstyle="round"
         )
         (trail,) = view.plot([], [], color=INK, linestyle="-", linewidth=0.9)
         x, z = np.meshgrid(np.linspace(-0.3, 1.0, 5), np.linspace(-4.5, -3.3, 5))
