@@ -98,10 +98,8 @@ def _curves(waves: pd.DataFrame, parameters: ParameterSet, failures: str) -> Dra
     figure, panels = plt.subplots(1, 2, figsize=(7.0, 3.0))
     settled = waves[waves["window"] == "settled"]
     for axes, (stem, (title, label, nominal)) in zip(panels, series.items(), strict=True):
-        parts = {name: name.rpartition("_") for name in waves["variant"].unique()}
-        stepped = {
-            int(last) * period: name for name, (one, _, last) in parts.items() if one == stem
-        }
+        names = [name for name in waves["variant"].unique() if name.rpartition("_")[0] == stem]
+        stepped = {int(name.rpartition("_")[2]) * period: name for name in names}
         places = dict(sorted({**nominal, **stepped}.items()))
         for wave, colour, dash in zip(waves["wave"].unique(), SERIES, DASHES, strict=False):
             ratio = settled[settled["wave"] == wave].set_index("variant")["ratio"]
@@ -155,8 +153,7 @@ def _opponents(heights: pd.DataFrame, summary: pd.DataFrame) -> Drawing:
 
 
 def _speed(spreads: pd.DataFrame, failures: str) -> Drawing:
-    settled = f"without the first {TRANSIENT:g} s"
-    looks = {"whole": ("whole run", INK), "settled": (settled, ORANGE)}
+    looks = {"whole": ("whole run", INK), "settled": (f"without the first {TRANSIENT:g} s", ORANGE)}
     figure, (left, right) = plt.subplots(1, 2, figsize=(7.0, 2.8))
     numbers = ["error", "spread", "spread_least", "spread_most"]
     found = spreads.pivot_table(index="control_period", columns="window", values=numbers)
@@ -173,7 +170,7 @@ def _speed(spreads: pd.DataFrame, failures: str) -> Drawing:
         name_groups(axes, [f"{period:g}" for period in found.index])
         axes.set_xlabel("control period, s")
     figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=2)
-    shares = ", ".join(f"{share:.0%}" for share in found["spread", "settled"])
+    settled = ", ".join(f"{share:.0%}" for share in found["spread", "settled"])
     return Drawing(
         figure,
         caption=(
@@ -184,6 +181,6 @@ def _speed(spreads: pd.DataFrame, failures: str) -> Drawing:
         ),
         alt=(
             "Two panels of paired bars for each control period, shortest first. Range after the "
-            f"start: {shares} of the mean."
+            f"start: {settled} of the mean."
         ),
     )

@@ -164,16 +164,14 @@ def _workspaces(arm: Arm, cases: Cases, maps: Maps, areas: pd.DataFrame, bound: 
         one.grid(visible=False)
         one.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.14), fontsize=8)
     axes[0, 0].set_ylabel("z, m")
-    failures = ", ".join(
-        f"({one}) with the {ordinal(panels[one])} segment failed" for one in panels
-    )
+    names = [f"({letter}) with the {ordinal(one)} segment failed" for letter, one in panels.items()]
     shares = (100 * areas["share"].drop(INTACT)).items()
     in_words = ", ".join(f"{cases[str(name)].words}: {share:.0f} %" for name, share in shares)
     return Drawing(
         figure,
         caption=(
             "Where the tip can be at rest in still water with every actuated angle within "
-            f"{bound:.2f} rad: {failures}, passive (it hangs by its weight and stiffness) "
+            f"{bound:.2f} rad: {', '.join(names)}, passive (it hangs by its weight and stiffness) "
             "or locked straight, against the intact arm (grey). Crosses: the six poses. Areas by "
             f"counting cells of {100 * CELL:.0f} cm; the uncertainty is half of the cells on the "
             "rim."
