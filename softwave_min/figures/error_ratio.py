@@ -12,13 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from softwave_min.experiments.closed_loop import TRANSIENT, others
-from softwave_min.figures.marks import (
-    failure_sentence,
-    look,
-    seas_sentence,
-    stem_for,
-    whiskers,
-)
+from softwave_min.figures.marks import failure_sentence, look, seas_sentence, stem_for, whiskers
 from softwave_min.figures.style import DASHES, GREY, INK, ORANGE, Drawing
 from softwave_min.paper.cases import poses, wave_cases
 from softwave_min.paper.numbers import CONTROLLER, error_ratio
