@@ -17,7 +17,7 @@ NOTEBOOK_LIMIT = 60.0
 
 mpl.use("agg")  # not by MPLBACKEND, which the notebooks' kernels would inherit
 settings.register_profile(
-    "reproducible", derandomize=True, database=None, deadline=None, max_examples=200
+    "reproducible", derandomize=True, database=None, deadline=None, max_examples=100
 )
 settings.register_profile(
     "mutation",

@@ -5,7 +5,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from arm_by_hand import displaced_mass, generalised_loads, power
+from arm_by_hand import generalised_loads, power
 from arm_cases import MODES, UNEQUAL, cases, numbers, uniform, water
 from hypothesis import given
 from hypothesis import strategies as st
@@ -171,18 +171,6 @@ def test_friction_along_a_segment(morison, rubbed):
     np.testing.assert_allclose(loads["drag_normal"][:, 1], 0, atol=1e-14)
 
 
-def test_pressure_along_a_segment():
-    """The same arm in water that accelerates upwards: rho V dw/dt, without C_m."""
-    fluid = water("textbook")
-    arm = Arm(uniform(2, length=(0.3, 0.5)), fluid)
-    flow = uniform_flow(arm.structure, 0.0, 2.5, rate=1)
-    loads = arm.load_terms([np.pi / 2, 0.0], np.zeros(2), flow)
-    force = displaced_mass(arm.parameters, fluid)[1] * 2.5
-    rise = 0.3 * (1 - 2 / np.pi) / (np.pi / 2)
-    assert loads["fluid_inertia"][0, 1] == pytest.approx(force * rise, rel=1e-12)
-    np.testing.assert_allclose(loads["drag_normal"], 0, atol=1e-14)
-
-
 def polynomial_flow(structure: Structure, rng: np.random.Generator):
     """Any flow that the model can be told: its coefficients, and the flow at (Z - Z_0, t)."""
     orders = structure.space_order + 1, structure.time_order + 1
@@ -292,18 +280,6 @@ def test_drag_takes_energy_from_a_moving_arm_in_still_water(case):
     assert not np.any(loads["fluid_inertia"])
 
 
-@given(case=cases(), seed=st.integers(0, 1000))
-def test_mirror_symmetry_of_the_loads(case, seed):
-    """Up and down exchanged for the arm and the flow: opposite loads."""
-    arm, q, qd = case.arm, case.q, case.qd
-    mirrored = Arm(replace(arm.parameters, base_angle=-arm.parameters.base_angle), arm.fluid)
-    flow, _ = polynomial_flow(arm.structure, np.random.default_rng(seed))
-    conjugate = flow * np.repeat([1, -1], len(flow) // 2)
-    np.testing.assert_allclose(
-        mirrored.fluid_load(-q, -qd, conjugate), -arm.fluid_load(q, qd, flow), rtol=1e-9, atol=1e-9
-    )
-
-
 @pytest.mark.parametrize("morison", MODES)
 def test_loads_do_not_jump_where_a_segment_is_straight(morison):
     arm = Arm(UNEQUAL, water(morison))
@@ -341,16 +317,3 @@ def test_a_series_of_states_gives_a_series_of_loads():
     loads = arm.fluid_load(q, qd, flow, 0.02)
     assert loads.shape == (7, 3)
     np.testing.assert_allclose(loads[2], arm.fluid_load(q[2], qd[2], flow[2], 0.02), rtol=1e-12)
-
-
-@pytest.mark.parametrize("morison", MODES)
-@pytest.mark.parametrize("coefficient", ["drag_coefficient", "friction_coefficient"])
-def test_each_coefficient_scales_its_own_term(morison, coefficient):
-    one, two = (water(morison, **{coefficient: value}) for value in (0.3, 0.6))
-    flow, _ = polynomial_flow(Arm(UNEQUAL, one).structure, np.random.default_rng(8))
-    state = np.array([[0.9, -1.7, 0.4], [-0.8, 2.5, 4.0]])
-    single, double = (Arm(UNEQUAL, fluid).load_terms(*state, flow) for fluid in (one, two))
-    own = "drag_normal" if coefficient == "drag_coefficient" else "drag_tangential"
-    for name in LOAD_TERMS:
-        factor = 2 if name == own else 1
-        np.testing.assert_allclose(double[name], factor * single[name], rtol=1e-12)

@@ -97,15 +97,6 @@ def test_axis_runs_from_the_base_to_the_tip(unequal):
     assert unequal.axis(q).shape == (49, 2)
 
 
-def test_straight_arm_and_full_circle(unequal):
-    along = np.array([np.cos(UNEQUAL.base_angle), np.sin(UNEQUAL.base_angle)])
-    straight = UNEQUAL.base_position + sum(UNEQUAL.length) * along
-    np.testing.assert_allclose(unequal.tip(np.zeros(3)), straight, rtol=1e-15)
-    closed = unequal.segment_tips(np.array([2 * np.pi, 0.0, 0.0]))
-    np.testing.assert_allclose(closed[0], UNEQUAL.base_position, rtol=0, atol=1e-15)
-    np.testing.assert_allclose(closed[1], UNEQUAL.base_position + 0.25 * along, rtol=1e-15)
-
-
 def test_a_positive_angle_bends_counter_clockwise():
     """A quarter turn of radius 2 L / pi, from +x to +z."""
     arm = Arm(uniform(1), WATER)

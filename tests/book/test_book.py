@@ -8,7 +8,6 @@ import inspect
 import json
 import re
 import shutil
-import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
@@ -18,6 +17,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+import small_book
 import yaml
 from book_browser import served, tab
 from book_pages import Page, pages, problems, words
@@ -220,43 +220,61 @@ def test_a_quantity_is_formatted() -> None:
     assert quoted.formatted("W1", "") == "W1"
 
 
-def test_what_cannot_be_quoted_or_shown_fails_the_build(tmp_path: Path) -> None:
-    source = tmp_path / "book"
-    (source / "results").mkdir(parents=True)
-    (source / "results" / "t.csv").write_text("key,a\nrow,text\n", encoding="utf-8")
-    (source / "results" / "e").mkdir()
-    (source / "results" / "e" / "provenance.json").write_text(
-        '{"figures": {"a": {"caption": "A.", "alt": "A."}}}', encoding="utf-8"
-    )
-    (source / "index.md").write_text(
-        "# Page\n\nGood: {value}`t.csv:row:a:`, {parameter}`paper/poses.toml:P1.0:.1f`.\n\n"
-        "{value}`none.csv:row:a:` {value}`t.csv:row:b:` {value}`t.csv:row:a:.1f` {value}`t.csv`\n"
-        "{parameter}`paper/poses.toml:P1.2:` {parameter}`paper/poses.toml:none:`\n\n"
-        "```{drawing} none/a\n```\n\n```{drawing} e/none\n```\n\n```{drawing} e/a\n```\n\n"
-        "```{notation} none\n```\n",
-        encoding="utf-8",
-    )
-    (source / "conf.py").write_text(
-        f"import sys\nsys.path.insert(0, {str(BOOK / '_ext')!r})\n"
-        "extensions = ['myst_parser', 'quoted', 'drawing', 'notation']\n",
-        encoding="utf-8",
-    )
-    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", source, tmp_path / "out"]
-    answer = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert answer.returncode != 0
-    complaints = [line for line in answer.stderr.splitlines() if "WARNING" in line]
-    assert len(complaints) == 10
-    for word in (
-        "none.csv",
-        "t.csv:row:b",
-        "text",
-        "P1.2",
-        "'paper/poses.toml:none:'",
-        "'a' of none",
-        "'none' of e",
-        "e/a.svg",
-    ):
-        assert any(word in complaint for complaint in complaints)
+QUOTING = """# Page
+
+Good: {value}`t.csv:row:a:`, {parameter}`paper/poses.toml:P1.0:.1f`.
+
+```{quoted-table} k.csv
+:caption: All.
+:where: kind=a
+kind | of |
+ms | ms | .1f
+```
+
+```{quoted-table} m.json
+```
+"""
+MISQUOTED = {
+    "{value}`none.csv:row:a:`": "none.csv",
+    "{value}`t.csv:row:b:`": "t.csv:row:b",
+    "{value}`t.csv:row:a:.1f`": "text",
+    "{value}`t.csv`": "'t.csv'",
+    "{parameter}`paper/poses.toml:P1.2:`": "P1.2",
+    "{parameter}`paper/poses.toml:none:`": "'paper/poses.toml:none:'",
+    "```{drawing} none/a\n```": "'a' of none",
+    "```{drawing} e/none\n```": "'none' of e",
+    "```{drawing} e/a\n```": "e/a.svg",
+    "```{notation} none\n```": "'none'",
+    "```{report} gossip\n```": "gossip",
+    "```{quoted-table} absent.csv\nkind | of |\n```": "absent.csv",
+    "```{quoted-table} k.csv\nabsent | of |\n```": "no column 'absent'",
+    "```{quoted-table} k.csv\n:where: kind=c\nkind | of |\n```": "kind=c",
+    "```{quoted-table} k.csv\nkind | of | .1f\n```": "'a'",
+}
+
+
+def test_what_can_be_quoted_is_shown_and_what_cannot_is_a_warning(tmp_path: Path) -> None:
+    assert "-W" in builder.BUILD  # to the builder every warning is an error
+    page = QUOTING + "".join(f"\n{one}\n" for one in MISQUOTED)
+    for name, text in {
+        "book/index.md": page,
+        "book/results/t.csv": "key,a\nrow,text\n",
+        "book/results/e/provenance.json": '{"figures": {"a": {"caption": "A.", "alt": "A."}}}',
+        "k.csv": "kind,ms\na,-1.234\nb,5.678\na,\n",
+        "m.json": '{"cores": 2, "clean": true}',
+    }.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    extensions = ["myst_parser", "quoted", "drawing", "notation", "report"]
+    site, said = small_book.bound(tmp_path, extensions)
+    complaints = [line for line in said.splitlines() if "WARNING" in line]
+    assert len(complaints) == len(MISQUOTED), said
+    for word in MISQUOTED.values():
+        assert any(word in complaint for complaint in complaints), word
+    shown = words(Page(site, site / "index.html").root.body)
+    for quoted_text in ("text , 0.3 .", "\N{MINUS SIGN}1.2", "\N{EN DASH}", "cores 2 clean yes"):
+        assert quoted_text in shown, shown
+    assert "5.7" not in shown
 
 
 # When the book is built

@@ -131,15 +131,11 @@ def morison_forces(
         displaced = displaced_mass(arm, fluid)[segment]
         inertia += fluid.inertia_coefficient * displaced * dot(normal, acceleration) * normal
         inertia += displaced * dot(tangent, acceleration) * tangent
-    pressure = fluid.density / 2
+    drag = frontal * fluid.drag_coefficient * abs(across) * across
+    friction = rubbed * fluid.friction_coefficient * abs(along) * along
     return {
-        "drag_normal": -pressure * frontal * fluid.drag_coefficient * abs(across) * across * normal,
-        "drag_tangential": -pressure
-        * rubbed
-        * fluid.friction_coefficient
-        * abs(along)
-        * along
-        * tangent,
+        "drag_normal": -fluid.density / 2 * drag * normal,
+        "drag_tangential": -fluid.density / 2 * friction * tangent,
         "fluid_inertia": inertia,
     }
 

@@ -89,13 +89,11 @@ def test_plain_and_compressed_files_are_read_alike(tmp_path, spectral_file):
 
 @pytest.mark.parametrize("missing", ["999.00", "MM"])
 def test_records_with_missing_densities_are_left_out(spectral_file, missing):
-    path = spectral_file(
-        HEADER, f"2019 02 06 00 40 0.0 {missing} 0.0", "", "2019 02 06 01 40 0.0 1.0 0.0"
-    )
+    lines = f"2019 02 06 00 40 0.0 {missing} 0.0", "", "2019 02 06 01 40 0.0 1.0 0.0"
+    path = spectral_file(HEADER, *lines)
     assert [record.time.hour for record in read_ndbc(path)] == [1]
-    with pytest.raises(
-        ParameterError, match="no complete record of 2019-02-06 00:40:00; there are 1,"
-    ):
+    complaint = "no complete record of 2019-02-06 00:40:00; there are 1,"
+    with pytest.raises(ParameterError, match=complaint):
         read_spectrum(path, datetime(2019, 2, 6, 0, 40))
 
 
@@ -155,9 +153,8 @@ def test_malformed_files_are_named_with_their_line(spectral_file, lines, complai
 
 
 def test_unreadable_files(tmp_path):
-    absent = tmp_path / "none.txt"
     with pytest.raises(ParameterError, match="no such file"):
-        read_ndbc(absent)
+        read_ndbc(tmp_path / "none.txt")
     for content in (b"not gzip", gzip.compress(b"x" * 1000)[:-9], b""):
         broken = tmp_path / "broken.txt.gz"
         broken.write_bytes(content)
@@ -175,10 +172,7 @@ def test_unreadable_files(tmp_path):
     ("entry", "complaint"),
     [
         ("time = 2019-02-06T00:40:00", "records.toml: A: file: missing; must be text"),
-        (
-            "file = 3\ntime = 2019-02-06T00:40:00",
-            "records.toml: A: file = 3: must be text",
-        ),
+        ("file = 3\ntime = 2019-02-06T00:40:00", "records.toml: A: file = 3: must be text"),
         ("file = 'x'\ntime = 'noon'", "records.toml: A: time = 'noon'"),
         ("file = 'x'\ntime = 2019-02-06T00:40:00\nhour = 1", "records.toml: A: hour = 1: unknown"),
         ("file = 'x'\nfile_format = 'xls'", "A: file_format = 'xls': must be 'detect' or 'ndbc'"),

@@ -46,20 +46,8 @@ def datawell_lines():
     """A file ``.spt`` as the buoy writes it."""
     sea = jonswap()
     highest = sea.density.max()
-    header = [
-        "1",
-        f"{100 * sea.significant_height:.0f}",
-        "5.970",
-        f"{highest:.4f}",
-        "7.95",
-        "7.85",
-        "6",
-        "0.03",
-        "-0.01",
-        "-0.01",
-        "271.4\N{DEGREE SIGN}",
-        "68.9\N{DEGREE SIGN}",
-    ]
+    header = ["1", f"{100 * sea.significant_height:.0f}", "5.970", f"{highest:.4f}", "7.95", "7.85"]
+    header += ["6", "0.03", "-0.01", "-0.01", "271.4\N{DEGREE SIGN}", "68.9\N{DEGREE SIGN}"]
     rows = [
         f"{f:.3f},{s / highest:.6f},{210.5:6.1f},{31.2:5.1f},-0.41, 2.85"
         for f, s in zip(sea.frequency_hz, sea.density, strict=True)
@@ -79,6 +67,7 @@ COLUMNS = (
     "Dominant (peak) wave period (s)",
     "Significant wave height (Hm0) (m)",
 )
+PEAK, TALL = map(repr, COLUMNS[2:])
 
 
 def wavenet_lines(rows=(("05/03/2021 12:00", "5.97", "8.0", "2.00"),), columns=COLUMNS):
@@ -132,12 +121,8 @@ def changed(lines, number, text):
         (changed(datawell_lines(), 15, "0.035,x,1,1,1,1"), ":15: 'x' is not a number"),
         (changed(datawell_lines(), 15, "0.035, 0.1"), ":15: '0.035, 0.1': expected 'f, S/Smax"),
         (["1"] * 12 + [""], ": a spectrum needs two or more rows; found 0"),
-        (changed(datawell_lines(), 15, "0.03,0,1,1,1,1"), ":15: frequency: must be above"),
-        (changed(datawell_lines(), 13, "-.1,0,1,1,1,1"), ":13: frequency: must be finite and not"),
         (changed(datawell_lines(), 76, "inf,0,1,1,1,1"), ":76: frequency: must be finite and not"),
-        (changed(datawell_lines(), 15, "0.035,-1,1,1,1,1"), ":15: density: must be finite and not"),
         (changed(datawell_lines(), 15, "0.035,inf,1,1,1,1"), ":15: density: must be finite"),
-        (changed(datawell_lines(), 15, "0.035,nan,1,1,1,1"), ":15: density: must be finite"),
         # H_s in m, S_max in cm^2/Hz, H_s missing
         (changed(datawell_lines(), 2, "2.00"), ":2: H_s is 0.02 m, but the spectrum's 2.00 m"),
         (changed(datawell_lines(), 4, "51240"), ":2: H_s is 2 m, but the spectrum's"),
@@ -192,21 +177,18 @@ def test_table_with_and_without_header(written):
         (["0.1; 1", "0.2; 1"], ":1: '0.1; 1': expected two numbers"),
         (["0.1, 1", "0.1, 1"], ":2: frequency: must be above the row's before it"),
         (["0.1, 1", "nan, 1"], ":2: frequency: must be finite"),
+        (["-0.1, 1", "0.1, 1"], ":1: frequency: must be finite and not negative"),
         (["0.1, -1", "0.2, 1"], ":1: density: must be finite and not negative"),
+        (["0.1, 1", "0.2, nan"], ":2: density: must be finite and not negative"),
     ],
 )
 def test_wrong_tables(written, lines, complaint):
     refused(read_table, written("sea.csv", lines), complaint)
 
 
-def test_the_shortest_table_has_two_rows(written):
-    assert read_table(written("sea.csv", ["0.1, 2", "0.2, 1"])).density == (2.0, 1.0)
-
-
-def test_a_table_may_begin_at_zero(written):
-    record = read_table(written("sea.csv", ["0, 0", "0.1, 2", "0.2, 0"]))
-    assert record.frequency_hz == (0.0, 0.1, 0.2)
-    assert record.density == (0.0, 2.0, 0.0)
+def test_the_shortest_table_has_two_rows_and_may_begin_at_zero(written):
+    record = read_table(written("sea.csv", ["0, 2", "0.1, 0"]))
+    assert (record.frequency_hz, record.density) == ((0.0, 0.1), (2.0, 0.0))
 
 
 # WaveNet
@@ -249,45 +231,33 @@ def test_wavenet_height_of_older_exports_and_commas(written):
     [
         ([], NOON, ":1: not a WaveNet export: expected a column 'Time (GMT)'"),
         (wavenet_lines((), COLUMNS[:2]), NOON, ":1: not a WaveNet export: expected a column 'Dom"),
-        (
-            wavenet_lines((), COLUMNS[:3]),
-            NOON,
-            ":1: not a WaveNet export: expected a column 'Significant wave height (Hm0) (m)'",
-        ),
+        (wavenet_lines((), COLUMNS[:3]), NOON, ":1: not a WaveNet export: expected a column 'Sig"),
         (wavenet_lines(()), NOON, ": no record within an hour of 2021-03-05 12:00:00"),
         (wavenet_lines(HALF_HOURS), datetime(2021, 3, 5, 10, 29), ": no record within an hour"),
         (wavenet_lines(HALF_HOURS), datetime(2021, 3, 5, 14, 1), ": no record within an hour"),
         (
             wavenet_lines(HALF_HOURS),
-            datetime(2021, 3, 5, 12, 20),
-            ":5: 'Dominant (peak) wave period (s)' is missing at 05/03/2021 12:30:00",
+            NOON.replace(minute=20),
+            f":5: {PEAK} is missing at 05/03/2021",
         ),
-        (
-            wavenet_lines(HALF_HOURS),
-            datetime(2021, 3, 5, 14, 0),
-            ":6: 'Significant wave height (Hm0) (m)' is missing at 2021-03-05T13:00",
-        ),
-        (
-            wavenet_lines(HALF_HOURS),
-            datetime(2021, 3, 6, 13, 0),
-            ":7: 'Dominant (peak) wave period (s)' is missing at",
-        ),
-        (wavenet_lines([("05/03/2021 12:00",)]), NOON, ":2: 'Significant wave height (Hm0) (m)'"),
+        (wavenet_lines(HALF_HOURS), NOON.replace(hour=14), f":6: {TALL} is missing at 2021-03-05T"),
+        (wavenet_lines(HALF_HOURS), datetime(2021, 3, 6, 13), f":7: {PEAK} is missing at"),
+        (wavenet_lines([("05/03/2021 12:00",)]), NOON, f":2: {TALL}"),
         (wavenet_lines([("noon", "5", "8", "2")]), NOON, ":2: 'noon' is not a time, DD/MM/YYYY"),
         (wavenet_lines([("03/25/2021 12:00", "5", "8", "2")]), NOON, ":2: '03/25/2021 12:00' is"),
         (["x\t" + wavenet_lines()[0], "1"], NOON, ":2: '' is not a time"),
         (wavenet_lines([("2021-03-05 12:00", "5", "8", "low")]), NOON, ":2: 'low' is not a number"),
-        (wavenet_lines([("2021-03-05 12:00", "5", "0", "2")]), NOON, ":2: 'Dominant (peak) wave"),
+        (
+            wavenet_lines([("2021-03-05 12:00", "5", "0", "2")]),
+            NOON,
+            f":2: {PEAK} is 0: expected a",
+        ),
         (
             wavenet_lines([("2021-03-05 12:00", "5", "8", "-9")]),
             NOON,
-            ":2: 'Significant wave height (Hm0) (m)' is -9: expected a number > 0",
+            f":2: {TALL} is -9: expected",
         ),
-        (
-            wavenet_lines([("2021-03-05 12:00", "5", "8", "inf")]),
-            NOON,
-            ":2: 'Significant wave height (Hm0) (m)' is inf: expected a number > 0",
-        ),
+        (wavenet_lines([("2021-03-05 12:00", "5", "8", "inf")]), NOON, f":2: {TALL} is inf: expe"),
     ],
 )
 def test_wrong_wavenet_files(written, lines, time, complaint):
@@ -325,14 +295,9 @@ def test_the_format_is_found(written):
     spt = datawell_lines()
     packed = written("packed.SPT.gz", [])
     packed.write_bytes(gzip.compress("\n".join(spt).encode("latin-1")))
-    table = table_lines()
-    for path in (
-        written("a.spt", spt, "latin-1"),
-        written("B.SPT", spt),
-        packed,
-        written("c.csv", table),
-        written("d.txt", table[1:]),
-    ):
+    plain, capital = written("a.spt", spt, "latin-1"), written("B.SPT", spt)
+    table, bare = written("c.csv", table_lines()), written("d.txt", table_lines()[1:])
+    for path in (plain, capital, packed, table, bare):
         record = read_spectrum(path, NOON)
         assert_same_sea(record)
         assert record.time == NOON
@@ -369,25 +334,13 @@ def test_every_format_can_be_named_in_the_list(written, parameters):
     written("buoy.spt", datawell_lines(), "latin-1")
     written("sea.dat", table_lines())
     written("bulk.txt", wavenet_lines())
-    listed = written(
-        "records.toml",
-        [
-            "[spt]",
-            "file = 'buoy.spt'",
-            "[table]",
-            "file = 'sea.dat'",
-            "file_format = 'table'",
-            "time = 2021-03-05T13:00:00+01:00",
-            "[mean]",
-            "file = 'bulk.txt'",
-            "time = 2021-03-05T12:10:00Z",
-            "[peaked]",
-            "file = 'bulk.txt'",
-            "time = 2021-03-05T12:10:00",
-            "peak_enhancement = 7",
-        ],
-    )
-    records = named_records(listed)
+    lines = [
+        "spt = {file = 'buoy.spt'}",
+        "table = {file = 'sea.dat', file_format = 'table', time = 2021-03-05T13:00:00+01:00}",
+        "mean = {file = 'bulk.txt', time = 2021-03-05T12:10:00Z}",
+        "peaked = {file = 'bulk.txt', time = 2021-03-05T12:10:00, peak_enhancement = 7}",
+    ]
+    records = named_records(written("records.toml", lines))
     assert [record.time for record in records.values()] == [None, NOON, NOON, NOON]
     for name in ("spt", "table"):
         assert_same_sea(records[name])
