@@ -83,8 +83,7 @@ def pose_ablations(parameters: ParameterSet) -> tuple[Ablation, ...]:
     """The nominal loops, and every loop with one part changed."""
     period, horizon = parameters.nmpc.control_period, parameters.nmpc.horizon
     gain = integral_gain(parameters)
-    integral = (("baseline.integral_gain", gain),)
-    feedforward = (("baseline.load_feedforward", True),)
+    integral, feedforward = ("baseline.integral_gain", gain), ("baseline.load_feedforward", True)
     textbook = (("fluid.morison", "textbook"),)
 
     def forecast(name: str, label: str, *changes: tuple[str, Any], hold: bool = False) -> Ablation:
@@ -109,10 +108,10 @@ def pose_ablations(parameters: ParameterSet) -> tuple[Ablation, ...]:
             for one, label, other in ((NMPC, "NMPC", BASELINE), (BASELINE, "baseline", NMPC))
         ),
         fairer("integral_half", "integral, half gain", ("baseline.integral_gain", gain / 2)),
-        fairer("integral", "integral", *integral),
+        fairer("integral", "integral", integral),
         fairer("integral_twice", "integral, twice gain", ("baseline.integral_gain", 2 * gain)),
-        fairer("feedforward", "load feed-forward", *feedforward),
-        fairer("both", "both", *integral, *feedforward),
+        fairer("feedforward", "load feed-forward", feedforward),
+        fairer("both", "both", integral, feedforward),
         *(
             Ablation(f"horizon_{K}", "horizon", f"K = {K}", "nmpc", (("nmpc.horizon", K),))
             for K in HORIZONS
@@ -212,12 +211,10 @@ def _cell_table(
     parameters: ParameterSet, arrays: RunArrays, compared: Sequence[Ablation]
 ) -> pd.DataFrame:
     """One row per ablation and place; ratios to the nominal loops in the same sea."""
-    places = list(half_grid(parameters))
     table = pd.DataFrame(
         {"variant": one.name, "group": one.group, **place.labels}
         | _measured(parameters, arrays[place.run_name()], one)
-        for one in compared
-        for place in places
+        for one, place in product(compared, half_grid(parameters))
     )
     failures = table[["solves_failed", "fallbacks"]]
     table = table.drop(columns=failures.columns)

@@ -78,11 +78,8 @@ def in_still_water(parameters: ParameterSet) -> ParameterSet:
 def follow(run: StarRun) -> dict[str, NDArray[Any]]:
     """Simulate each controller; ``time`` and ``<controller>_<field>``.
 
-    Returns
-    -------
-    dict of ndarray
-        The fields are ``error`` (T + 1,) in m; ``tip`` and ``target`` (T + 1, 2) in m; ``q``
-        (T + 1, n) in rad; ``status`` and ``source`` (T,); and the loads of ``_loads``.
+    The fields are ``error`` (T + 1,) in m; ``tip`` and ``target`` (T + 1, 2) in m; ``q``
+    (T + 1, n) in rad; ``status`` and ``source`` (T,); and the loads of ``_loads``.
     """
     scenario = scenario_on_star(run.parameters, run.star)
     found: dict[str, NDArray[Any]] = {"time": scenario.times}
@@ -97,8 +94,8 @@ def follow(run: StarRun) -> dict[str, NDArray[Any]]:
 def _loads(scenario: Scenario, loop: ClosedLoop) -> dict[str, Floats]:
     """Generalised loads on the moving arm by kind, (T, n) in N m.
 
-    Drag; the fluid's acceleration with C_m, as the textbook has it, whatever the plant
-    has; and the added mass on the body's own acceleration.
+    Drag; the fluid's acceleration with C_m, as in the textbook, whatever the plant has; and
+    the added mass on the body's own acceleration.
     """
     arm = scenario.arm
     textbook = Arm(arm.parameters, replace(arm.fluid, morison="textbook"))
@@ -114,15 +111,11 @@ def _loads(scenario: Scenario, loop: ClosedLoop) -> dict[str, Floats]:
 
 
 def follow_swept(run: SweepRun) -> dict[str, NDArray[Any]]:
-    """Follow a star of the sweep under NMPC.
+    """Follow a star of the sweep under NMPC: ``target``, ``<case>_tip`` and ``<case>_status``.
 
     In still water and in the first of the seas; in the others only if some measure agrees with
-    the paper's number in that one, because no measure can otherwise do so in all.
-
-    Returns
-    -------
-    dict of ndarray
-        ``target`` (T + 1, 2) in m, and ``<case>_tip`` (T + 1, 2), ``<case>_status`` (T,).
+    the paper's number in that one, because no measure can otherwise do so in all. Points are
+    (T + 1, 2) in m.
     """
     first, *others = run.seas
     found = _swept(run, STILL, in_still_water(run.parameters))

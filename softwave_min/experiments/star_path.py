@@ -82,8 +82,7 @@ def star_vertices(star: StarParameters) -> Floats:
         step, radius = math.pi / star.points, np.where(index % 2, star.inner_ratio, 1.0)
     angle = star.orientation + step * index
     direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    vertices: Floats = np.array(star.centre) + star.outer_radius * radius[:, None] * direction
-    return vertices
+    return np.asarray(star.centre + star.outer_radius * radius[:, None] * direction)
 
 
 def star_path(star: StarParameters, times: ArrayLike) -> Floats:
@@ -94,17 +93,8 @@ def star_path(star: StarParameters, times: ArrayLike) -> Floats:
     .. math:: u = V \min(t / T, \text{laps}), \quad j = \lfloor u \rfloor, \quad
        x_r = v_j + (u - j)(v_{j+1} - v_j),
 
-    so that the speed is constant; by jumps, :math:`x_r = v_j`.
-
-    Parameters
-    ----------
-    star : StarParameters
-    times : array_like, (T,)
-        In s, from the start of the first lap.
-
-    Returns
-    -------
-    ndarray, (T, 2)
+    so that the speed is constant; by jumps, :math:`x_r = v_j`. The ``times``, (T,) in s, count
+    from the start of the first lap; the path is (T, 2).
     """
     corners = star_vertices(star)
     progress = np.clip(np.asarray(times, float) / star.lap_duration, 0.0, star.laps)
@@ -112,8 +102,7 @@ def star_path(star: StarParameters, times: ArrayLike) -> Floats:
     index = np.floor(passed + ROUNDING).astype(int)
     here, there = corners[index % star.vertices], corners[(index + 1) % star.vertices]
     gone = passed - index if star.manner == "edges" else np.zeros_like(passed)
-    path: Floats = here + gone[:, None] * (there - here)
-    return path
+    return np.asarray(here + gone[:, None] * (there - here))
 
 
 def distance_to_star(star: StarParameters, points: Floats) -> Floats:
@@ -123,5 +112,4 @@ def distance_to_star(star: StarParameters, points: Floats) -> Floats:
     offset = points[:, None, :] - start
     along = np.clip((offset * edge).sum(axis=2) / (edge**2).sum(axis=1), 0.0, 1.0)
     nearest = offset - along[:, :, None] * edge
-    distance: Floats = np.hypot(nearest[..., 0], nearest[..., 1]).min(axis=1)
-    return distance
+    return np.asarray(np.hypot(nearest[..., 0], nearest[..., 1]).min(axis=1))

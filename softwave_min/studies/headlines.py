@@ -61,16 +61,12 @@ class HeadlineRun:
 
 
 def headline_numbers(run: HeadlineRun) -> dict[str, NDArray[Any]]:
-    """The numbers of a set by name, and how many solves did not converge.
+    """The numbers of a set by name, and how many solves did not converge: scalars.
 
-    Returns
-    -------
-    dict of scalars
-        For each wave case ``largest_reduction_*`` and ``lowest_reduction_*`` over the grid in
-        per cent, ``rise_*`` of the error after the failure in per cent, and ``star_*``, the
-        RMSE on the star's path in m; ``rise``, their mean, and ``rise_spread``, their range;
-        ``cells_below_one``, the per cent of cells in which the NMPC is better;
-        ``solves_failed``.
+    For each wave case ``largest_reduction_*`` and ``lowest_reduction_*`` over the grid in
+    per cent, ``rise_*`` of the error after the failure in per cent, and ``star_*``, the RMSE
+    on the star's path in m; ``rise``, the mean of the rises, and ``rise_spread``, their range;
+    ``cells_below_one``, the per cent of cells in which the NMPC is better; ``solves_failed``.
     """
     loops, cells = _Loops(run), run.cells
     numbers: dict[str, float] = {}

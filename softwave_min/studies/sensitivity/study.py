@@ -7,9 +7,8 @@ r"""The study, step by step.
    variance-based indices are computed on it.
 3. *Draws* not seen before, of all values, which the emulators have to predict.
 
-Why emulators: sampled directly, intervals of a tenth for the indices of a few values take
-thousands of sets at some seconds each. Far fewer determine a smooth function of these
-values, fits to resamples of them show how well, and the third step needs it anyway.
+Why emulators: sampled directly, intervals of a tenth for a few indices take thousands of sets
+at some seconds each. Far fewer determine a smooth function, and resamples show how well.
 
 ``data/studies/sensitivity.toml`` fixes all of it beforehand. Each set that is judged is a
 run of the store: what is interrupted goes on where it was.
