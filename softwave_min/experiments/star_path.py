@@ -82,7 +82,8 @@ def star_vertices(star: StarParameters) -> Floats:
         step, radius = math.pi / star.points, np.where(index % 2, star.inner_ratio, 1.0)
     angle = star.orientation + step * index
     direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return np.asarray(star.centre + star.outer_radius * radius[:, None] * direction)
+    vertices: Floats = np.array(star.centre) + star.outer_radius * radius[:, None] * direction
+    return vertices
 
 
 def star_path(star: StarParameters, times: ArrayLike) -> Floats:
@@ -93,8 +94,17 @@ def star_path(star: StarParameters, times: ArrayLike) -> Floats:
     .. math:: u = V \min(t / T, \text{laps}), \quad j = \lfloor u \rfloor, \quad
        x_r = v_j + (u - j)(v_{j+1} - v_j),
 
-    so that the speed is constant; by jumps, :math:`x_r = v_j`. The ``times``, (T,) in s, count
-    from the start of the first lap; the path is (T, 2).
+    so that the speed is constant; by jumps, :math:`x_r = v_j`.
+
+    Parameters
+    ----------
+    star : StarParameters
+    times : array_like, (T,)
+        In s, from the start of the first lap.
+
+    Returns
+    -------
+    ndarray, (T, 2)
     """
     corners = star_vertices(star)
     progress = np.clip(np.asarray(times, float) / star.lap_duration, 0.0, star.laps)
@@ -102,7 +112,8 @@ def star_path(star: StarParameters, times: ArrayLike) -> Floats:
     index = np.floor(passed + ROUNDING).astype(int)
     here, there = corners[index % star.vertices], corners[(index + 1) % star.vertices]
     gone = passed - index if star.manner == "edges" else np.zeros_like(passed)
-    return np.asarray(here + gone[:, None] * (there - here))
+    path: Floats = here + gone[:, None] * (there - here)
+    return path
 
 
 def distance_to_star(star: StarParameters, points: Floats) -> Floats:
@@ -112,4 +123,5 @@ def distance_to_star(star: StarParameters, points: Floats) -> Floats:
     offset = points[:, None, :] - start
     along = np.clip((offset * edge).sum(axis=2) / (edge**2).sum(axis=1), 0.0, 1.0)
     nearest = offset - along[:, :, None] * edge
-    return np.asarray(np.hypot(nearest[..., 0], nearest[..., 1]).min(axis=1))
+    distance: Floats = np.hypot(nearest[..., 0], nearest[..., 1]).min(axis=1)
+    return distance

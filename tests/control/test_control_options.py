@@ -18,7 +18,6 @@ from softwave_min.simulation import (
     BaselineController,
     NmpcController,
     Scenario,
-    SimulationError,
     Source,
     root_mean_square_error,
     simulate,
@@ -46,18 +45,16 @@ def settled(loop):
 def test_a_passive_segment_has_no_torque_and_a_locked_one_does_not_move(
     nominal, segment, integrator
 ):
-    simulation = replace(nominal.simulation, integrator=integrator)
-    nominal = replace(nominal, simulation=simulation)
-    failed = segment - 1
-    passive = scenario_of(nominal, 2.0, failure={"segment": segment, "manner": "passive"})
-    loop = simulate(passive, BaselineController(passive))
-    assert np.all(loop.torque[:, failed] == 0)
-    assert np.ptp(loop.q[:, failed]) > 1e-3
-    locked = scenario_of(nominal, 2.0, failure={"segment": segment, "manner": "locked"})
-    loop = simulate(locked, BaselineController(locked))
-    np.testing.assert_allclose(loop.q[:, failed], 0, atol=1e-12)
-    others = [i for i in range(3) if i != failed]
-    assert np.all(np.ptp(loop.q[:, others], axis=0) > 1e-3)
+    nominal = replace(nominal, simulation=replace(nominal.simulation, integrator=integrator))
+    loops = {}
+    for manner in ("passive", "locked"):
+        scenario = scenario_of(nominal, 2.0, failure={"segment": segment, "manner": manner})
+        loops[manner] = simulate(scenario, BaselineController(scenario))
+    failed, moved = segment - 1, np.ptp(loops["locked"].q, axis=0)
+    assert np.all(loops["passive"].torque[:, failed] == 0)
+    assert np.ptp(loops["passive"].q[:, failed]) > 1e-3
+    np.testing.assert_allclose(loops["locked"].q[:, failed], 0, atol=1e-12)
+    assert np.all(np.delete(moved, failed) > 1e-3)
 
 
 def test_to_know_of_a_failure_helps(nominal):
@@ -187,27 +184,10 @@ def test_failed_solves_are_marked_in_the_figure(nominal):
     plt.close(figure)
 
 
-@pytest.mark.parametrize("spoiled", ["state", "sea"])
-def test_a_number_that_is_not_finite_stops_the_run_and_names_the_time(nominal, spoiled):
-    scenario = scenario_of(nominal, 1.0)
-    if spoiled == "state":
-        scenario = replace(scenario, initial_angles=np.array([0.0, np.nan, 0.0]))
-        with pytest.raises(SimulationError, match=r"state is not finite at t = 0\.0 s"):
-            simulate(scenario, BaselineController(scenario_of(nominal, 1.0)))
-    else:
-        flow = scenario.flow.copy()
-        flow[4, 7] = np.inf
-        with pytest.raises(SimulationError, match=r"sea is not finite from t = 0\.4 s"):
-            simulate(replace(scenario, flow=flow), BaselineController(scenario))
-
-
 @needs_compiler
 def test_the_loop_in_c_is_the_loop_in_python(nominal):
     scenario = scenario_of(nominal, 3.0, preview={"redrawn": True})
-    for build, whole in (
-        (NmpcController, "nmpc"),
-        (BaselineController, "baseline"),
-    ):
+    for build, whole in ((NmpcController, "nmpc"), (BaselineController, "baseline")):
         stepped, compiled = simulate(scenario, build(scenario)), simulate(scenario, whole)
         for name, series in vars(stepped).items():
             np.testing.assert_array_equal(series, getattr(compiled, name), err_msg=name)
