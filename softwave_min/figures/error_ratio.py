@@ -109,7 +109,7 @@ def _bars(cells: pd.DataFrame, *, quoted: bool) -> Figure:
     highest = cells["high"].max()
     top = max(highest, 1.0) if quoted else highest
     for letter, wave, axes in zip("abc", cases.values(), panels, strict=True):
-        _panel(axes, cells.loc[wave.name], colours)
+        _panel(axes, cells.loc[[wave.name]], colours)
         if quoted:
             _paper_marks(axes, wave.name)
         if top >= 1.0:
@@ -133,7 +133,7 @@ def _bars(cells: pd.DataFrame, *, quoted: bool) -> Figure:
 def _panel(axes: Axes, cells: pd.DataFrame, colours: Sequence[str]) -> None:
     """Bars by pose and height, their spread over the seas, and a cross where solves failed."""
     width = GROUP / len(colours)
-    for number, (colour, (_, rows)) in enumerate(zip(colours, cells.groupby(level=1), strict=True)):
+    for number, (colour, (_, rows)) in enumerate(zip(colours, cells.groupby(level=2), strict=True)):
         places = beside(len(rows), number, len(colours), width)
         axes.bar(places, rows["median"], width, color=colour, edgecolor=INK, linewidth=0.4)
         if np.any(rows["high"] > rows["low"]):

@@ -33,8 +33,8 @@ def draw(store: Store, parameters: ParameterSet) -> dict[str, Drawing]:
             "the water's speed at the base, crosses exp(2kz) for the peak's wave number. Grey "
             "lines: the depths of the paper's targets. (b) In the postures of the six poses, over "
             f"their mean curvature: filled at z = {max(depths):g} m, open at {min(depths):g} m, "
-            "crosses if the whole arm met the flow at its base; marks of the wave cases are shifted "
-            "apart."
+            "crosses if the whole arm met the flow at its base; marks of the wave cases are "
+            "shifted apart."
         ),
         alt=(
             "Left: relative torque against depth for three wave cases, falling with depth, "
@@ -65,11 +65,8 @@ def _by_curvature(axes: Axes, postures: pd.DataFrame) -> None:
     upper = max(z for _, z in poses().values())
     apart = 0.04 * float(np.ptp(postures.curvature))
     for number, (wave, rows) in enumerate(postures.groupby("wave")):
-        colour, marker, places = (
-            SERIES[number],
-            "os^"[number],
-            rows.curvature + apart * (number - 1),
-        )
+        colour, marker = SERIES[number], "os^"[number]
+        places = rows.curvature + apart * (number - 1)
         above = rows.pose.map(lambda pose: poses()[pose][1] == upper)
         for shown, face, label in ((above, colour, wave), (~above, "white", None)):
             look: Any = {"color": colour, "mfc": face, "markersize": 5, "label": label}

@@ -32,12 +32,10 @@ def _drawn(store: Store, name: str) -> Drawing:
 
     grid = store.read_table("error_ratio")
     rises = of("rises", f"case == '{PAPERS_CASE}' and reading == 'mean' and window == 'whole'")
+    reductions = of("reductions", "wave != 'all'").groupby("quantity")
     panels = [
-        ("(a) largest\nreduction, %", of("reductions", "wave != 'all' and quantity == 'largest'")),
-        (
-            "(b) smallest\nreduction, %",
-            of("reductions", "wave != 'all' and quantity == 'smallest'"),
-        ),
+        ("(a) largest\nreduction, %", reductions.get_group("largest")),
+        ("(b) smallest\nreduction, %", reductions.get_group("smallest")),
         ("(c) rise with failed\nsegment, %", rises.rename(columns={"rise": "median"})),
         ("(d) error on\nthe star, m", of("star_errors", "measure == 'rmse'")),
     ]
