@@ -107,7 +107,7 @@ def _distances(axes: Axes, with_waves: RunData, calm: RunData) -> int:
     legend_above(axes, **LEGEND)
     axes.set_ylim(bottom=1e-5)
     axes.set(xlabel="time, s", ylabel="distance, m", title="(c)")
-    return sum(int(np.count_nonzero(data["nmpc_status"] > 0)) for data in (with_waves, calm))
+    return sum(int(np.sum(data["nmpc_status"] > 0)) for data in (with_waves, calm))
 
 
 def _plane(axes: Axes, with_waves: RunData, calm: RunData, arm: Arm) -> None:
@@ -153,9 +153,8 @@ def _errors(table: pd.DataFrame, headline: pd.DataFrame) -> Drawing:
         words.append(", ".join(found))
         if measure == "rmse":
             bars: Any = {"color": BLUE, "linewidth": 2.0, "linestyle": DASHES[1]}
-            middles, label = np.arange(len(waves)), f"paper, {look(CONTROLLER).label}"
-            ends = middles - 0.3, middles + 0.3
-            axes.hlines(list(chosen.rmse.values()), *ends, label=label, **bars)
+            x, label = beside(len(waves), 0, 1, 0), f"paper, {look(CONTROLLER).label}"
+            axes.hlines(list(chosen.rmse.values()), x - 0.3, x + 0.3, label=label, **bars)
         axes.set_yscale("log")
         axes.set_xlim(-0.5, len(waves) - 0.5)
         axes.set_xticks(range(len(waves)), waves)
