@@ -83,7 +83,7 @@ class Task:
         recorded = _recorded(record, "figures")
         now = figures_identity(
             self.experiment.name,
-            _identity_of_tables(record).digest,
+            Identity(_recorded(record, "tables")).digest,
             _read(recorded),
             self.store.root,
         )
@@ -169,10 +169,6 @@ def _numerical(*modules: str) -> frozenset[str]:
 def _recorded(record: Mapping[str, Any], what: str) -> dict[str, Any]:
     parts: dict[str, Any] = record.get("identity", {}).get(what, {})
     return parts
-
-
-def _identity_of_tables(record: Mapping[str, Any]) -> Identity:
-    return Identity(_recorded(record, "tables"))
 
 
 def _read(recorded: Mapping[str, Any]) -> Iterable[str]:

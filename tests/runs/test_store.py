@@ -80,7 +80,6 @@ def toy(tmp_path, monkeypatch):
 def forget():
     for cached in (
         source.source_digests,
-        source.source_digest,
         source.imported_libraries,
         source._digest,
         source._imported_by,
@@ -90,7 +89,7 @@ def forget():
 
 def source_digest(module):
     forget()
-    return source.source_digest(module)
+    return source.source_digests(module)
 
 
 # --- identity ---------------------------------------------------------------------------
