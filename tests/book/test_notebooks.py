@@ -201,7 +201,7 @@ def test_what_a_notebook_read_and_loaded_and_nothing_else_determines_it(
     (tmp_path / "other.toml").write_text("drag = 1.2\n")
     assert is_current(path, tmp_path)
     (tmp_path / "read.toml").write_text("drag = 1.2\n")
-    assert executor.changes(path, tmp_path) == [f"data ({tmp_path}/read.toml)"]
+    assert executor.changes(path, tmp_path) == ["data (results/read.toml)"]
     (tmp_path / "read.toml").write_text("drag = 1.1\n")
     (tmp_path / "spectra/curves.csv").write_text("f,S\n1,3\n")
     assert executor.changes(path, tmp_path) == ["data (results/spectra/curves.csv)"]

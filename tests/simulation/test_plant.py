@@ -10,7 +10,6 @@ from scipy.integrate import solve_ivp
 from softwave_min.arm import pack_flow
 from softwave_min.control.preview import Preview, noise_deviation
 from softwave_min.native import compiler
-from softwave_min.parameters import PreviewParameters
 from softwave_min.simulation import (
     BaselineController,
     Command,
@@ -236,8 +235,11 @@ def test_record_of_a_run(nominal, sea):
 
 
 @pytest.mark.parametrize("controller", CONTROLLERS)
-def test_a_sea_that_is_not_finite_stops_the_run(nominal, sea, controller):
+def test_a_sea_or_a_start_that_is_not_finite_stops_the_run(nominal, sea, controller):
     scenario = Scenario.build(lasting(nominal, 2.0), sea, P3)
+    nowhere = replace(scenario, initial_angles=np.array([np.nan, 0.0, 0.0]))
+    with pytest.raises(SimulationError, match=r"^the state is not finite at t = 0\.0 s$"):
+        simulate(nowhere, controller(scenario))
     scenario.flow[7, 3] = np.nan
     with pytest.raises(SimulationError, match=r"^the sea is not finite from t = 0\.7 s$"):
         simulate(scenario, controller(scenario))
@@ -254,13 +256,6 @@ def test_a_state_that_is_not_finite_stops_the_run(nominal, sea, integrator):
 
     with pytest.raises(SimulationError, match=r"^the state is not finite at t = 0\.6 s$"):
         simulate(scenario, Failing())
-
-
-@pytest.mark.parametrize("controller", CONTROLLERS)
-def test_a_start_that_is_not_finite_stops_the_run(nominal, sea, controller):
-    scenario = Scenario.build(lasting(nominal, 2.0), sea, P3, initial_angles=(np.nan, 0.0, 0.0))
-    with pytest.raises(SimulationError, match=r"^the state is not finite at t = 0\.0 s$"):
-        simulate(scenario, controller(scenario))
 
 
 def test_preview_and_plant_meet_the_same_sea(nominal, sea):
@@ -287,22 +282,11 @@ def test_preview_and_plant_meet_the_same_sea(nominal, sea):
                     assert abs(found - (u - 1j * w)) < 1e-6
 
 
-def preview_parameters(noise, *, redrawn=True, seed=4):
-    return PreviewParameters(
-        waves=True,
-        delay_periods=0,
-        bias=0.0,
-        noise=noise,
-        signal_to_noise=20.0,
-        redrawn=redrawn,
-        seed=seed,
-    )
-
-
 @pytest.mark.parametrize(("noise", "ratio"), [("decibel", 100.0), ("ratio", 20.0)])
-def test_signal_to_noise_ratio_as_measured(noise, ratio):
+def test_signal_to_noise_ratio_as_measured(nominal, noise, ratio):
     """The ratio of the powers, for each load by itself, over 30000 draws."""
-    parameters = preview_parameters(noise)
+    parameters = replace(nominal.preview, noise=noise)
+    assert parameters.signal_to_noise == 20
     signal = np.sin(np.arange(600))[:, None] * [8.0, 3.0, 0.5]
     deviation = noise_deviation(parameters, signal)
     preview = Preview(np.zeros((2015, 4)), deviation, 15, parameters)
@@ -312,30 +296,29 @@ def test_signal_to_noise_ratio_as_measured(noise, ratio):
     assert np.all(np.abs(np.mean(noise, axis=0)) < 4 * deviation / np.sqrt(len(noise)))
 
 
-def test_without_noise_there_is_none():
-    parameters = preview_parameters("none")
+def test_without_noise_there_is_none(nominal):
+    parameters = replace(nominal.preview, noise="none")
     deviation = noise_deviation(parameters, np.ones((10, 3)))
     assert not np.any(Preview(np.zeros((20, 4)), deviation, 5, parameters).at(3).disturbance)
 
 
-def test_frozen_noise_belongs_to_the_time_it_speaks_of():
-    flow = np.zeros((40, 4))
-    frozen = Preview(flow, np.ones(3), 15, preview_parameters("decibel", redrawn=False))
-    first, next_one = frozen.at(3).disturbance, frozen.at(4).disturbance
-    np.testing.assert_array_equal(first[1:], next_one[:-1])
-    np.testing.assert_array_equal(frozen.at(3).disturbance, first)
-    redrawn = Preview(flow, np.ones(3), 15, preview_parameters("decibel"))
-    first, next_one = redrawn.at(3).disturbance, redrawn.at(4).disturbance
-    assert not np.any(first[1:] == next_one[:-1])
+def disturbances(nominal, step, **changes):
+    """The noise of a forecast of 15 periods, unit deviation."""
+    parameters = replace(nominal.preview, **changes)
+    return Preview(np.zeros((40, 4)), np.ones(3), 15, parameters).at(step).disturbance
 
 
-def test_one_seed_one_noise():
-    draws = [
-        Preview(np.zeros((40, 4)), np.ones(3), 15, preview_parameters("decibel", seed=seed)).at(0)
-        for seed in (4, 4, 5)
-    ]
-    np.testing.assert_array_equal(draws[0].disturbance, draws[1].disturbance)
-    assert not np.any(draws[0].disturbance == draws[2].disturbance)
+def test_frozen_noise_belongs_to_the_time_it_speaks_of(nominal):
+    for redrawn in (False, True):
+        first, later = (disturbances(nominal, step, redrawn=redrawn) for step in (3, 4))
+        assert np.all((first[1:] == later[:-1]) != redrawn)
+        np.testing.assert_array_equal(disturbances(nominal, 3, redrawn=redrawn), first)
+
+
+def test_one_seed_one_noise(nominal):
+    one, same, other = (disturbances(nominal, 0, seed=seed) for seed in (4, 4, 5))
+    np.testing.assert_array_equal(one, same)
+    assert not np.any(one == other)
 
 
 def test_noise_refers_to_the_load_on_an_arm_held_at_the_plan(nominal, sea):
