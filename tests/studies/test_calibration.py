@@ -90,7 +90,6 @@ def test_the_objective_counts_deviations_in_units_of_their_scale():
         assert far == pytest.approx(2 * 100 - 2, rel=1e-3)
 
 
-RANGES, NUMBERS = plausible_ranges(), search_settings().number  # a run reads no file
 
 
 def bowl(run):
