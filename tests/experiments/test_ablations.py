@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from invented_loops import shelf
+from invented_loops import loop, shelf
 from segments import with_segments
 
 from softwave_min.arm import pack_flow
@@ -52,8 +52,8 @@ def offset(scenario):
     return simulate(scenario, "baseline").error[-1]
 
 
-def settled(loop):
-    return root_mean_square_error(loop.error[len(loop.error) // 2 :])
+def settled(found):
+    return root_mean_square_error(found.error[len(found.error) // 2 :])
 
 
 def median_error(nominal, seeds, *changes, run=lambda scenario: simulate(scenario, "nmpc")):
@@ -237,8 +237,7 @@ def series(run):
             level *= sea.peak_period
         error = np.full(STEPS + 1, level)
         error[:3] = 50.0
-        found |= {f"{ablation.name}_error": error}
-        found |= {f"{ablation.name}_{name}": np.zeros(STEPS, int) for name in ("status", "source")}
+        found |= loop(ablation.name, error)
     return found
 
 

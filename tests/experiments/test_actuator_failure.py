@@ -6,7 +6,7 @@ from itertools import product
 import numpy as np
 import pandas as pd
 import pytest
-from invented_loops import shelf
+from invented_loops import loop, shelf
 
 from softwave_min.experiments.ablation_loops import varied
 from softwave_min.experiments.actuator_failure import (
@@ -40,16 +40,8 @@ def synthetic_run(place, case):
     q = np.zeros((STEPS + 1, 3))
     q[:, 1] = 0.3 * np.sin(2 * np.pi * 0.05 * time) + 0.04 * np.sin(2 * np.pi * time)
     q[:, 2] = q[:, 1] / 10
-    data = {
-        "nmpc_error": np.full(STEPS + 1, error),
-        "nmpc_q": q,
-        "nmpc_status": np.zeros(STEPS, dtype=int),
-        "nmpc_source": np.zeros(STEPS, dtype=int),
-    }
-    if case == "intact":
-        data["baseline_error"] = np.full(STEPS + 1, 3 * intact)
-        data["baseline_status"] = data["baseline_source"] = np.zeros(STEPS, dtype=int)
-    return data
+    reference = loop("baseline", np.full(STEPS + 1, 3 * intact)) if case == "intact" else {}
+    return loop("nmpc", np.full(STEPS + 1, error), q=q) | reference
 
 
 def synthetic(parameters):
@@ -254,11 +246,11 @@ def test_a_real_place(nominal):
     """Over the first seconds: a locked angle stays, a passive one moves, all is finite."""
     short = varied(nominal, (("simulation.duration", 3.0),))
     place = next(places(short))
-    loops = {case: closed_loops(run_at(place, case).parameters) for case in CASES}
-    assert "baseline_error" in loops["intact"]
-    assert np.abs(loops["mid_locked"]["nmpc_q"][:, 1]).max() == 0
-    assert np.abs(loops["tip_locked"]["nmpc_q"][:, 2]).max() == 0
-    assert np.abs(loops["mid_passive"]["nmpc_q"][:, 1]).max() > 1e-2
-    for loop in loops.values():
-        assert np.isfinite(loop["nmpc_q"]).all()
-        assert loop["nmpc_error"][-1] < 0.8 * loop["nmpc_error"][0]
+    found = {case: closed_loops(run_at(place, case).parameters) for case in CASES}
+    assert "baseline_error" in found["intact"]
+    assert np.abs(found["mid_locked"]["nmpc_q"][:, 1]).max() == 0
+    assert np.abs(found["tip_locked"]["nmpc_q"][:, 2]).max() == 0
+    assert np.abs(found["mid_passive"]["nmpc_q"][:, 1]).max() > 1e-2
+    for one in found.values():
+        assert np.isfinite(one["nmpc_q"]).all()
+        assert one["nmpc_error"][-1] < 0.8 * one["nmpc_error"][0]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from invented_loops import loop
 
 from softwave_min.experiments import error_ratio
 from softwave_min.experiments.ablation_loops import varied
@@ -32,13 +33,7 @@ def series(run):
     for controller, factor in (("baseline", 4.0), ("nmpc", 1.5 if failed else 1.0)):
         error = np.full(STEPS + 1, factor * level)
         tip = np.stack([error, np.zeros_like(error)], axis=1)
-        found |= {
-            f"{controller}_error": error,
-            f"{controller}_tip": tip,
-            f"{controller}_target": np.zeros_like(tip),
-            f"{controller}_status": np.zeros(STEPS, int),
-            f"{controller}_source": np.zeros(STEPS, int),
-        }
+        found |= loop(controller, error, tip=tip, target=0 * tip)
     return found
 
 

@@ -33,13 +33,6 @@ def tables(parameters, arrays):
     return SPECTRA.tabulate(parameters, arrays)
 
 
-def test_the_papers_table(tables):
-    table = tables["wave_cases"]
-    assert list(table["case"]) == ["W1", "W2", "W3"]
-    assert list(table["peak_period"]) == [6.1, 8.0, 10.0]
-    assert set(table["significant_heights"]) == {"0.5 1 1.5 2 2.5 3"}
-
-
 def test_curves_and_records_have_the_papers_height_and_period(tables):
     table = tables["spectra"]
     assert len(table) == 6

@@ -87,9 +87,8 @@ def test_one_stroke_passes_through_the_inner_vertices_of_the_outline():
 
 def test_known_perimeters():
     """Of the unit pentagram's strokes 2 sin(2 pi / 5); an outline leaves out the inner fifth."""
-    chord = 2 * math.sin(2 * math.pi / 5)
-    assert ONE_STROKE.edge == pytest.approx(0.25 * chord)
-    assert STAR.edge == pytest.approx(0.25 * chord * PENTAGRAM)
+    chord = 0.25 * 2 * math.sin(2 * math.pi / 5)
+    assert [ONE_STROKE.edge, STAR.edge] == pytest.approx([chord, chord * PENTAGRAM])
 
 
 @STARS
@@ -112,6 +111,12 @@ def test_jumps_hold_each_vertex_for_an_equal_time():
     times = 0.1 * np.arange(100)
     path = star_path(star, times)
     np.testing.assert_array_equal(path, np.repeat(star_vertices(star), 20, axis=0))
+
+
+@pytest.mark.parametrize("points", [3, 6])
+def test_a_star_that_one_stroke_cannot_draw_is_refused(points):
+    with pytest.raises(ValueError, match="one stroke"):
+        replace(ONE_STROKE, points=points)
 
 
 def test_start_vertex_only_turns_the_order():
@@ -143,12 +148,6 @@ def test_distance_to_the_star_of_points_off_an_edge():
 def test_impossible_stars_are_refused(field, value, complaint):
     with pytest.raises(ParameterError, match=complaint):
         validate(StarParameters, {**asdict(STAR), field: value}, source="star")
-
-
-@pytest.mark.parametrize("points", [3, 6])
-def test_a_star_that_one_stroke_cannot_draw_is_refused(points):
-    with pytest.raises(ValueError, match="one stroke"):
-        replace(ONE_STROKE, points=points)
 
 
 # --- measures -----------------------------------------------------------------------------
@@ -281,15 +280,12 @@ def test_table_has_every_sea_and_controller_and_still_water_once(tables):
     assert paper["baseline"].isna().all()
 
 
-def test_waves_move_the_tip_and_still_water_is_its_own_reference(tables):
+def test_waves_move_the_tip_and_drag_grows_with_the_speed_of_the_water(tables):
+    """At one height the shortest period has the fastest water."""
     table = tables["star"].set_index(["wave", "controller"])
     assert table.waves_alone[STILL].eq(0).all()
     for wave in ("W1", "W2", "W3"):
         assert table.waves_alone[wave]["baseline"] > 2 * table.waves_alone[wave]["nmpc"] > 1e-4
-
-
-def test_drag_grows_with_the_speed_of_the_water(tables):
-    """At one height the shortest period has the fastest water."""
     scales = tables["time_scales"].set_index("wave")
     assert scales.drag["W1"] > scales.drag["W3"]
     assert scales.drag_over_fluid_inertia["W1"] < scales.drag_over_fluid_inertia["W3"]

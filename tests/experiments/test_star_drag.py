@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from invented_loops import computed
+from invented_loops import computed, loop
 from segments import with_segments
 
 from softwave_min.experiments.ablation_loops import varied
@@ -34,11 +34,8 @@ def test_each_load_is_tried_in_each_sea_on_one_path():
 def test_errors_are_those_with_the_start_and_without():
     nominal = parameter_set()
     steps = 200
-    run = {
-        "nmpc_error": np.where(np.arange(steps + 1) < 100, 1.0, 0.5),
-        "nmpc_status": np.array([0] * (steps - 2) + [1, 1]),
-        "nmpc_source": np.zeros(steps, dtype=int),
-    }
+    status = np.array([0] * (steps - 2) + [1, 1])
+    run = loop("nmpc", np.where(np.arange(steps + 1) < 100, 1.0, 0.5), status=status)
     arrays = {one.name: run for one in EXPERIMENT.runs(nominal)}
     table = EXPERIMENT.tabulate(nominal, arrays)["star_drag"]
     assert table["rmse"].to_numpy() == pytest.approx(np.sqrt((100 + 101 * 0.25) / 201))
@@ -51,6 +48,6 @@ def test_the_table_has_the_error_of_each_loop(segments):
     short = varied(with_segments(parameter_set(), segments), (("simulation.duration", 11.0),))
     table = EXPERIMENT.tabulate(short, computed(EXPERIMENT, short))["star_drag"]
     for run, rmse in zip(EXPERIMENT.runs(short), table["rmse"], strict=True):
-        loop = simulate(scenario_on_star(run.parameters.parameters, run.parameters.star), "nmpc")
-        far = np.linalg.norm(loop.tips[:, -1] - loop.target, axis=1)
+        own = simulate(scenario_on_star(run.parameters.parameters, run.parameters.star), "nmpc")
+        far = np.linalg.norm(own.tips[:, -1] - own.target, axis=1)
         assert rmse == pytest.approx(root_mean_square_error(far))

@@ -11,6 +11,13 @@ from softwave_min.simulation import CONTROLLERS
 STEPS = 120
 
 
+def loop(name, error, **more):
+    """Arrays of a loop with these errors, all of whose solves converged."""
+    solved = dict.fromkeys(("status", "source"), np.zeros(len(error) - 1, int))
+    arrays = {"error": np.array(error), **solved, **more}
+    return {f"{name}_{field}": array.copy() for field, array in arrays.items()}
+
+
 def invented(run, segments):
     """Arrays as a run's, one controller twice as bad as the next."""
     names = getattr(run.parameters, "controllers", tuple(CONTROLLERS))
@@ -19,15 +26,15 @@ def invented(run, segments):
     found = {}
     for number, name in enumerate(names):
         error = np.full(STEPS + 1, level * 2.0**-number)
-        found |= {
-            f"{name}_error": error,
-            f"{name}_tip": np.stack([error, 0 * error], axis=1),
-            f"{name}_target": np.zeros((STEPS + 1, 2)),
-            f"{name}_q": rng.normal(size=(STEPS + 1, segments)),
-            f"{name}_wave_torque": rng.normal(size=(STEPS, segments)),
-            f"{name}_status": np.full(STEPS, int(name not in {"baseline", "nmpc"})),
-            f"{name}_source": np.zeros(STEPS, int),
-        }
+        found |= loop(
+            name,
+            error,
+            tip=np.stack([error, 0 * error], axis=1),
+            target=np.zeros((STEPS + 1, 2)),
+            q=rng.normal(size=(STEPS + 1, segments)),
+            wave_torque=rng.normal(size=(STEPS, segments)),
+            status=np.full(STEPS, int(name not in {"baseline", "nmpc"})),
+        )
     return found
 
 

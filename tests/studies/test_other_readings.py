@@ -29,7 +29,6 @@ from softwave_min.studies.open_points import (
     REALISATIONS,
     SCATTER_SEAS,
     alternatives,
-    group_of,
     loops,
     offsets,
     runs,
@@ -223,14 +222,6 @@ def test_values_that_a_set_cannot_have_are_in_the_table(segments):
 def test_more_seas_asked_for_change_nothing():
     many = varied(CALIBRATED, (("sea.realisations", 7),))
     assert [run.parameters for run in runs(many)] == [run.parameters for run in runs(CALIBRATED)]
-
-
-@pytest.mark.parametrize(
-    ("number", "group"),
-    [("rise", "rise"), ("rise_W2", "rise"), ("rise_spread", ""), ("star_W1", "star")],
-)
-def test_numbers_belong_to_groups(number, group):
-    assert group_of(number) == group
 
 
 # --- the real thing, briefly ------------------------------------------------------------
