@@ -92,7 +92,7 @@ audit: environment ## All that is computed on request: seas, stars, readings, ab
 calibration: environment ## Search for the parameters that come closest to the paper's numbers
 	@$(PY) -m softwave_min calibrate
 
-sensitivity: environment ## Which open values decide the headline numbers: three quarters of an hour
+sensitivity: environment ## Which open parameters decide the headline numbers: three quarters of an hour
 	@$(PY) -m softwave_min sensitivity
 
 mutation: environment ## Break every line of the arm and the waves and see whether a test notices
@@ -108,7 +108,7 @@ clean: ## Remove the book, the notebooks' stamps and the caches
 	@find . -name .venv -prune -o -name __pycache__ -prune -exec rm -r {} +
 
 distclean: clean ## Remove the computed runs and the environment as well
-	@rm -rf results/*/runs results/sets/*/*/runs .venv
+	@rm -rf results/runs results/sets/*/runs .venv
 
 computed: environment
 	@$(PY) -m softwave_min run

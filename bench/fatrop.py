@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from softwave_min.arm import Arm, Structure, Values, mechanics
 from softwave_min.control.predictor import PeriodSteps
 from softwave_min.control.problem import (
-    Period,
     Problem,
     Solution,
     Status,
@@ -127,15 +126,16 @@ class Fatrop:
             constraints.append(q_bar)
             equality += n * [False]
             unknown += [q_bar, states[k + 1]]
-            period = Period(
-                tip(states[k + 1][:n], values),
-                torque,
-                q_bar,
-                states[k][2 * n :],
-                reference[:, k],
-                ca.MX(k + 1 == horizon),
+            stated = residual(
+                tip=tip(states[k + 1][:n], values),
+                torque=torque,
+                command=q_bar,
+                former=states[k][2 * n :],
+                reference=reference[:, k],
+                last=k + 1 == horizon,
+                weights=weights,
             )
-            residuals.append(residual(*vars(period).values(), weights))
+            residuals.append(stated["residual"])
         stacked = ca.vertcat(*residuals)
         program = {
             "x": ca.vertcat(*unknown),

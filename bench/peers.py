@@ -31,8 +31,9 @@ from recording import Recording, bench_parameters
 from softwave_min.arm import Arm, Structure, Values, mechanics
 from softwave_min.control.baseline import InnerLoop
 from softwave_min.control.predictor import PeriodSteps
+from softwave_min.control.problem import Period, Weights, residuals
 from softwave_min.control.reference.interior_point import transition_function
-from softwave_min.parameters import ParameterSet
+from softwave_min.parameters import NmpcParameters, ParameterSet
 
 Floats = NDArray[np.float64]
 FORMULATIONS = ("collocation", "discrete")
@@ -58,18 +59,21 @@ class Peer:
         """Applied input, iterations and success; the guess is do-mpc's own former solution."""
         periods = len(recording.reference[index])
         reference = np.vstack([recording.reference[index][:1], recording.reference[index]])
-        flow = recording.flow[index] if not self._continuous else self._held(recording.flow[index])
-        parts = (flow, recording.disturbance[index])
-        told = [np.vstack([part, part[-1:]]) for part in parts]
+        flow = recording.flow[index]
+        parts = (
+            self._held_flow(flow) if self._continuous else flow,
+            recording.disturbance[index],
+        )
+        forecasts = [np.vstack([part, part[-1:]]) for part in parts]
         template = self._template
         for k in range(periods + 1):
-            template["_tvp", k] = np.concatenate([told[0][k], told[1][k], reference[k]])
+            template["_tvp", k] = np.concatenate([*(one[k] for one in forecasts), reference[k]])
         self._mpc.u0 = recording.previous[index]
         applied = self._mpc.make_step(recording.state[index]).ravel()
         stats = self._mpc.solver_stats
         return applied, stats["iter_count"], stats["success"]
 
-    def _held(self, flow: Floats) -> Floats:
+    def _held_flow(self, flow: Floats) -> Floats:
         """Flow in the middle of each period: what do-mpc can hold over a step."""
         return flow[:, :: self._structure.time_order + 1]
 
@@ -101,6 +105,7 @@ class Peer:
         mpc.settings.supress_ipopt_output()
         tip = _tip(self._structure)(model.x["x"], ca.DM(self._arm.values))
         error = nmpc.tip_weight * ca.sumsqr(tip - model.tvp["reference"])
+        _refuse_what_is_not_stated(nmpc, self._arm.segments)
         mpc.set_objective(mterm=ca.SX(nmpc.terminal_weight) * error, lterm=error)
         mpc.set_rterm(q_bar=nmpc.step_weight)
         for side, sign in (("lower", -1), ("upper", 1)):
@@ -109,6 +114,17 @@ class Peer:
         mpc.set_tvp_fun(lambda _: self._template)
         mpc.setup()
         return mpc
+
+
+def _refuse_what_is_not_stated(nmpc: NmpcParameters, segments: int) -> None:
+    """The cost is stated anew for do-mpc, which has a form of its own: without soft bounds."""
+    weights = Weights.unpacked(ca.SX.sym("weights", Weights.size()))
+    terms = set(residuals(Period.symbolic(segments), weights))
+    stated = {"tip_error", "change_of_command"}
+    if nmpc.torque_bound == 0:
+        stated.add("torque_beyond_bound")
+    if terms - stated:
+        raise ValueError(f"the cost for do-mpc lacks: {', '.join(sorted(terms - stated))}")
 
 
 Law = Callable[..., ca.SX]

@@ -11,23 +11,24 @@ from numpy.typing import NDArray
 
 from softwave_min.control.preview import Forecast
 from softwave_min.control.problem import Problem, Solution, Solver
-from softwave_min.data import data_folder
 from softwave_min.paper.cases import poses, wave_cases
-from softwave_min.parameters import ParameterSet, load_parameters
+from softwave_min.parameters import ParameterSet, parameter_set
 from softwave_min.simulation import NmpcController, Scenario, simulate, solver_of
 from softwave_min.waves import Sea
 
-__all__ = ["POSES", "Recording", "bench_parameters", "record", "scenario_at"]
+__all__ = ["PARAMETER_SET", "POSES", "Recording", "bench_parameters", "record", "scenario_at"]
 
 Floats = NDArray[np.float64]
 
 POSES = ("P1", "P3")
 CASE, HEIGHT = "W3", 3.0
+PARAMETER_SET = "physical"
+"""Shipped parameter set that is measured; the book's results are of the default one."""
 
 
 def bench_parameters() -> ParameterSet:
     """The nominal parameters in the sea of the measurement."""
-    nominal = load_parameters(data_folder() / "parameters" / "physical.toml")
+    nominal = parameter_set(PARAMETER_SET)
     sea = replace(
         nominal.sea, peak_period=wave_cases()[CASE].peak_period, significant_height=HEIGHT
     )
@@ -85,8 +86,8 @@ class _Recorder:
 
     def solve(self, problem: Problem, guess: Floats) -> Solution:
         solution = self._solver.solve(problem, guess)
-        told = (problem.forecast.flow, problem.forecast.disturbance)
-        given = (problem.state, problem.previous, problem.reference, *told, guess)
+        forecast = (problem.forecast.flow, problem.forecast.disturbance)
+        given = (problem.state, problem.previous, problem.reference, *forecast, guess)
         self.rows.append((*given, solution.inputs[0], np.asarray(solution.cost)))
         return solution
 

@@ -103,7 +103,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     study = subparsers.add_parser(
         "sensitivity",
-        help="find out which of the open values decide the headline numbers",
+        help="find out which of the open parameters decide the headline numbers",
         description="Judge the sets that data/studies/sensitivity.toml asks for; goes on where "
         "it was interrupted.",
     )

@@ -59,8 +59,17 @@ class _Asked:
     root: Path
     """The folder that stands for it."""
 
-    def tasks(self, experiments: Sequence[Experiment]) -> list[Task]:
-        return [Task(one, self.parameters, Store(one.name, self.root)) for one in experiments]
+    def task(self, one: Experiment) -> Task:
+        return Task(one, self.parameters, Store(one.name, self.root))
+
+    def tasks(self, experiments: Sequence[Experiment]) -> tuple[list[Task], bool]:
+        """What there is to do, and whether the parameters rule some of it out; says what."""
+        tasks = [self.task(one) for one in experiments]
+        for task in tasks:
+            if task.refusal:
+                print(f"{task.experiment.name}: {task.refusal}", file=sys.stderr)
+        possible = [task for task in tasks if not task.refusal]
+        return possible, len(possible) < len(tasks)
 
     @property
     def experiments(self) -> tuple[Experiment, ...]:
@@ -120,11 +129,12 @@ def _executor(options: Namespace) -> Executor:
 def list_experiments(options: Namespace) -> int:
     """Name, number of runs, claims and title of each experiment."""
     asked = _asked(options)
-    for one in asked.experiments:
-        runs = len(one.runs(asked.parameters))
+    tasks, refused = asked.tasks(asked.experiments)
+    for task in tasks:
+        one, runs = task.experiment, len(task.runs)
         request = "on request" if one.on_request else ""
         print(f"{one.name:18} {runs:5} runs {request:11} {_claims(one.claims):10} {one.title}")
-    return 0
+    return int(refused)
 
 
 def _claims(ids: Sequence[str]) -> str:
@@ -143,24 +153,23 @@ def run(options: Namespace) -> int:
     from softwave_min.runs.sweep import carry_out
 
     asked = _asked(options)
-    plan = asked.tasks(asked.computed)
+    plan, failed = asked.tasks(asked.computed)
     if options.dry_run:
         for task in plan:
             print(task)
-        return 0
-    failed = False
+        return int(failed)
     with _executor(options) as executor:
         _announce(options)
         for event in carry_out(plan, executor, draw_files, record=options.record):
             failed |= event.failed
             _say(event.text, sys.stderr if event.failed else sys.stdout)
-    for task in asked.tasks(asked.not_waited_for):
-        if task.freshness is Freshness.STALE:
-            name = task.experiment.name
-            print(f"{name}: stale; computed on request only: 'run {name}'")
+    for one in asked.not_waited_for:
+        task = asked.task(one)
+        if not task.refusal and task.freshness is Freshness.STALE:
+            print(f"{one.name}: stale; computed on request only: 'run {one.name}'")
     if not failed and not missing_tables(asked.root):
         _judge(asked)
-    return 1 if failed else 0
+    return int(failed)
 
 
 def _announce(options: Namespace) -> None:
@@ -190,7 +199,8 @@ def _judge(asked: _Asked) -> None:
 def figures(options: Namespace) -> int:
     """Draw every figure anew from the runs that are here."""
     asked = _asked(options)
-    for task in asked.tasks(asked.experiments):
+    tasks, refused = asked.tasks(asked.experiments)
+    for task in tasks:
         name, found = task.experiment.name, task.freshness
         if task.experiment in asked.not_waited_for and found in {
             Freshness.MISSING,
@@ -201,7 +211,7 @@ def figures(options: Namespace) -> int:
             raise ParameterError(f"{name}: nothing to draw; 'run {name}' computes it")
         draw_files(task.store, asked.parameters)
         print(f"{name}: figures drawn", flush=True)
-    return 0
+    return int(refused)
 
 
 def status(options: Namespace) -> int:
@@ -210,7 +220,8 @@ def status(options: Namespace) -> int:
 
     asked = _asked(options)
     stale = []
-    for task in asked.tasks(asked.experiments):
+    tasks, refused = asked.tasks(asked.experiments)
+    for task in tasks:
         found = task.freshness
         print(f"{task.experiment.name}: {found.value}")
         stale += [task] * (found is Freshness.STALE)
@@ -222,7 +233,7 @@ def status(options: Namespace) -> int:
         print("claims: stale")
         print("the verdicts are not those of the tables: run 'claims'", file=sys.stderr)
         return 1
-    return 1 if stale else 0
+    return int(refused or bool(stale))
 
 
 def claims(options: Namespace) -> int:
@@ -277,7 +288,7 @@ def calibrate(options: Namespace) -> int:
 
 
 def sensitivity(options: Namespace) -> int:
-    """Find out which of the open values decide the headline numbers."""
+    """Find out which of the open parameters decide the headline numbers."""
     from softwave_min.studies.sensitivity import NAME, investigate, study_settings
 
     store = Store(NAME, options.results.resolve() if options.results else results_folder())
@@ -306,8 +317,8 @@ def verify(options: Namespace) -> int:
     differ = 0
     with TemporaryDirectory(prefix="softwave-verify-") as folder, _executor(options) as executor:
         _announce(options)
-        elsewhere = replace(asked, root=Path(folder))
-        for swept in compute_all(elsewhere.tasks(chosen), executor):
+        plan, refused = replace(asked, root=Path(folder)).tasks(chosen)
+        for swept in compute_all(plan, executor):
             if swept.failure:
                 raise SweepError(swept.failure)
             one, store = swept.task.experiment, swept.task.store
@@ -315,7 +326,7 @@ def verify(options: Namespace) -> int:
             differ += _compared(one.name, stems, store, asked.place)
     if differ:
         print(f"{differ} of the tables differ from the committed ones", file=sys.stderr)
-    return 1 if differ else 0
+    return int(refused or differ > 0)
 
 
 def _compared(name: str, stems: Sequence[str], store: Store, place: Path) -> int:

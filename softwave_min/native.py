@@ -2,11 +2,12 @@
 
 A library is cached by the content of its sources, the compiler with its version, the
 flags and the processor, so that it is never stale; it appears under its name only
-when it is whole.
+when it is whole. Of several processes that want it one compiles, and the others wait.
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import importlib.util
 import os
@@ -72,22 +73,33 @@ def build(name: str, sources: Mapping[str, str]) -> Path:
     if command is None:
         raise CompilerError("no C compiler")
     library = cache_folder() / "native" / f"{name}-{_key(command, sources)}.so"
-    if not library.is_file():
-        library.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=library.parent) as folder:
-            for file_name, text in sources.items():
-                (Path(folder) / file_name).write_text(text, encoding="utf-8")
-            with ThreadPoolExecutor(os.cpu_count()) as pool:
-                compiled = [
-                    pool.submit(_run, [*command, *_flags(text), "-c", file_name], folder)
-                    for file_name, text in sources.items()
-                ]
-            for one in compiled:
-                one.result()
-            objects = [Path(file_name).stem + ".o" for file_name in sorted(sources)]
-            _run([*command, "-shared", *objects, "-o", library.name, "-lm"], folder)
-            os.replace(Path(folder) / library.name, library)
+    if library.is_file():
+        return library
+    library.parent.mkdir(parents=True, exist_ok=True)
+    with open(library.with_suffix(".lock"), "w", encoding="utf-8") as alone:
+        with contextlib.suppress(ImportError, OSError):  # no such locks: several compile the same
+            import fcntl  # noqa: PLC0415 - not on every system
+
+            fcntl.flock(alone, fcntl.LOCK_EX)
+        if not library.is_file():
+            _compile(command, library, sources)
     return library
+
+
+def _compile(command: tuple[str, ...], library: Path, sources: Mapping[str, str]) -> None:
+    with tempfile.TemporaryDirectory(dir=library.parent) as folder:
+        for file_name, text in sources.items():
+            (Path(folder) / file_name).write_text(text, encoding="utf-8")
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            compiled = [
+                pool.submit(_run, [*command, *_flags(text), "-c", file_name], folder)
+                for file_name, text in sources.items()
+            ]
+        for one in compiled:
+            one.result()
+        objects = [Path(file_name).stem + ".o" for file_name in sorted(sources)]
+        _run([*command, "-shared", *objects, "-o", library.name, "-lm"], folder)
+        os.replace(Path(folder) / library.name, library)
 
 
 def _flags(text: str) -> tuple[str, ...]:

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import fields, is_dataclass
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar, get_args, get_origin, get_type_hints
 
 from pydantic import ConfigDict, Field, Strict, TypeAdapter, ValidationError, model_validator
 from pydantic.dataclasses import dataclass
 
-from softwave_min.data import ParameterError, data_folder, read_toml
+from softwave_min.data import ParameterError, data_folder, note_read, read_toml
 
 SET_NAMES = ("calibrated", "physical")
 """The parameter sets that ship: files in ``data/parameters/``."""
@@ -306,6 +307,15 @@ def load_data(kind: type[T], name: str) -> T:
         As `validate`.
     """
     path = data_folder() / name
+    note_read(path)
+    version = path.stat().st_mtime_ns if path.is_file() else 0
+    loaded: T = _loaded(kind, path, version)  # type: ignore[arg-type]
+    return loaded
+
+
+@cache
+def _loaded(kind: Any, path: Path, version: int) -> Any:  # noqa: ARG001
+    """Keep what was made of a version of a file: every place of the grid asks for its pose."""
     return validate(kind, read_toml(path), source=path)
 
 

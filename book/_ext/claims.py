@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import myst
-from sphinx.application import Sphinx
 
 from softwave_min.paper.claims import Claim, Reason, read_claims
 from softwave_min.paper.verdicts import FAILED, verdicts_path
@@ -110,8 +109,4 @@ def count(results: Path, text: str) -> tuple[str, str]:
     return str(number), one if number == 1 else several
 
 
-def setup(app: Sphinx) -> dict[str, Any]:
-    """Register with Sphinx."""
-    app.add_directive("claims", myst.directive(claims_table))
-    app.add_role("verdicts", myst.role(count))
-    return {"parallel_read_safe": True, "parallel_write_safe": True}
+setup = myst.extension({"claims": myst.directive(claims_table)}, {"verdicts": myst.role(count)})

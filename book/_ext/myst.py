@@ -9,7 +9,7 @@ fails the build.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
@@ -17,6 +17,7 @@ import pandas as pd
 from docutils import nodes
 from docutils.nodes import Node, system_message
 from docutils.parsers.rst import directives
+from sphinx.application import Sphinx
 from sphinx.util import logging
 from sphinx.util.docutils import SphinxDirective, SphinxRole
 
@@ -71,6 +72,21 @@ def role(find: Callable[[Path, str], tuple[str, str]]) -> SphinxRole:
             return [number, nodes.Text(f" {words}")] if words else [number], []
 
     return Quoted()
+
+
+def extension(
+    directives: Mapping[str, type[SphinxDirective]], roles: Mapping[str, SphinxRole] | None = None
+) -> Callable[[Sphinx], dict[str, Any]]:
+    """What Sphinx calls to learn of directives and roles."""
+
+    def setup(app: Sphinx) -> dict[str, Any]:
+        for name, one in directives.items():
+            app.add_directive(name, one)
+        for name, found in (roles or {}).items():
+            app.add_role(name, found)
+        return {"parallel_read_safe": True, "parallel_write_safe": True}
+
+    return setup
 
 
 def texts(path: Path) -> pd.DataFrame:

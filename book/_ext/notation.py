@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import myst
-from sphinx.application import Sphinx
 
 from softwave_min.data import data_folder, read_toml
 
@@ -49,7 +47,4 @@ def _name(symbol: dict[str, str]) -> str:
     return f"`{symbol['where']}.`{{.notation-place}}`{symbol['code']}`"
 
 
-def setup(app: Sphinx) -> dict[str, Any]:
-    """Register with Sphinx."""
-    app.add_directive("notation", myst.directive(notation, arguments=1))
-    return {"parallel_read_safe": True, "parallel_write_safe": True}
+setup = myst.extension({"notation": myst.directive(notation, arguments=1)})

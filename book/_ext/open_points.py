@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import myst
-from sphinx.application import Sphinx
 
 from softwave_min.paper.claims import MINUS
 from softwave_min.paper.open_points import OpenPoint, Switch, open_points
@@ -182,9 +181,10 @@ def count(_: Path, of: str) -> tuple[str, str]:
     return str(sum(of in {EVERY, one.kind} for one in found)), ""
 
 
-def setup(app: Sphinx) -> dict[str, Any]:
-    """Register with Sphinx."""
-    app.add_directive("open-points", myst.directive(points_table))
-    app.add_directive("open-points-summary", myst.directive(summary))
-    app.add_role("open-points", myst.role(count))
-    return {"parallel_read_safe": True, "parallel_write_safe": True}
+setup = myst.extension(
+    {
+        "open-points": myst.directive(points_table),
+        "open-points-summary": myst.directive(summary),
+    },
+    {"open-points": myst.role(count)},
+)

@@ -22,9 +22,9 @@ from typing import Any
 
 import myst
 import pandas as pd
-from sphinx.application import Sphinx
 
-from softwave_min.paper.claims import MINUS, data_entry
+from softwave_min.paper.claims import MINUS
+from softwave_min.paper.entries import data_entry
 
 
 def cell(path: Path, row: str, column: str) -> str:
@@ -35,8 +35,7 @@ def cell(path: Path, row: str, column: str) -> str:
     LookupError
         If there is no such column, or not exactly one such row.
     """
-    found = myst.texts(path)
-    _check_columns(found, [column])
+    found = _columns(path, [column])
     key = row.split("/")
     found = found[(found.iloc[:, : len(key)] == key).all(axis=1)]
     if len(found) != 1:
@@ -51,10 +50,12 @@ def formatted(quantity: Any, specification: str) -> str:
     return format(float(quantity), specification).replace("-", MINUS)
 
 
-def _check_columns(found: pd.DataFrame, names: Sequence[str]) -> None:
-    for name in names:
-        if name not in found:
-            raise LookupError(f"no column {name!r}; there are: {', '.join(found)}")
+def _columns(path: Path, needed: Sequence[str]) -> pd.DataFrame:
+    """A table that has the columns."""
+    found = myst.texts(path)
+    if absent := [name for name in needed if name not in found]:
+        raise LookupError(f"no column {absent[0]!r}; there are: {', '.join(found)}")
+    return found
 
 
 def _value(results: Path, text: str) -> tuple[str, str]:
@@ -79,8 +80,7 @@ def quoted_table(
         return _table((), rows, caption, **named)
     named_columns = [[part.strip() for part in line.split("|")] for line in columns]
     kept, _, value = where.partition("=")
-    found = myst.texts(path)
-    _check_columns(found, [*(name for name, _, _ in named_columns), *([kept] if kept else [])])
+    found = _columns(path, [name for name, _, _ in named_columns])
     found = found[found[kept] == value] if kept else found
     if found.empty:
         raise LookupError(f"no row of {path.name} {where}")
@@ -96,10 +96,7 @@ def _table(headings: Sequence[str], rows: list[list[str]], caption: str, **named
     return myst.table([myst.plain(text) for text in headings], cells, caption, **named)
 
 
-def setup(app: Sphinx) -> dict[str, Any]:
-    """Register with Sphinx."""
-    app.add_role("value", myst.role(_value))
-    app.add_role("parameter", myst.role(_parameter))
-    table = myst.directive(quoted_table, 1, "caption", "name", "where", content=True)
-    app.add_directive("quoted-table", table)
-    return {"parallel_read_safe": True, "parallel_write_safe": True}
+setup = myst.extension(
+    {"quoted-table": myst.directive(quoted_table, 1, "caption", "name", "where", content=True)},
+    {"value": myst.role(_value), "parameter": myst.role(_parameter)},
+)

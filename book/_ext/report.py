@@ -16,14 +16,14 @@ from pathlib import Path
 from typing import Any, get_args
 
 import myst
+import pandas as pd
 from claims import claim_link, evidence, interval, judged, verdict_mark, with_unit
 from open_points import effects, point_link
-from sphinx.application import Sphinx
 
 from softwave_min.paper.claims import Claim
 from softwave_min.paper.open_points import OpenPoint, open_points
 from softwave_min.paper.queries import Measured
-from softwave_min.paper.verdicts import FAILED, Verdict
+from softwave_min.paper.verdicts import FAILED, Verdict, verdicts_path
 from softwave_min.parameters import ParameterSet, parameter_set
 from softwave_min.runs.store import Store
 from softwave_min.studies.ranges import PlausibleRange, plausible_ranges
@@ -39,12 +39,14 @@ MOST = 8
 
 
 def _verdicts(results: Path) -> str:
-    count = Counter((row.kind, row.verdict) for row, _, _ in judged(results))
-    used = [one for one in get_args(Verdict) if any(one == verdict for _, verdict in count)]
-    kinds = list(dict.fromkeys(kind for kind, _ in count))
-    rows = [[kind, *(str(count[kind, one] or myst.NONE) for one in used)] for kind in kinds]
-    sums = [str(sum(count[kind, one] for kind in kinds)) for one in used]
-    return _table(["Kind", *map(verdict_mark, used)], [*rows, ["all", *sums]])
+    rows = myst.texts(verdicts_path(results))
+    count = pd.crosstab(rows["kind"], rows["verdict"], margins=True, margins_name="all")
+    used = [one for one in get_args(Verdict) if one in count]
+    table = [
+        [kind, *(str(count.loc[kind, one] or myst.NONE) for one in used)]
+        for kind in (*rows["kind"].unique(), "all")
+    ]
+    return _table(["Kind", *map(verdict_mark, used)], table)
 
 
 def _headline(results: Path) -> str:
@@ -82,19 +84,18 @@ def _size(row: Any, claim: Claim) -> str:
 
 def _disagreement(results: Path) -> str:
     """Reasons, each with the claims that fail for it."""
-    groups: dict[str, list[Any]] = {}
-    for row, claim, reason in judged(results):
-        if row.verdict in FAILED:
-            if reason is None:
-                raise LookupError(f"{row.id} is {row.verdict}, without a reason")
-            groups.setdefault(claim.why, []).append((row, claim, reason))
-    parts = []
-    for group in groups.values():
-        row, _, reason = group[0]
-        parts += [
-            myst.bullets(_failed(row, claim) for row, claim, _ in group),
+    failed = [one for one in judged(results) if one[0].verdict in FAILED]
+    if bare := [row.id for row, _, reason in failed if reason is None]:
+        raise LookupError(f"{', '.join(bare)}: failed, without a reason")
+    reasons = {claim.why: (row, reason) for row, claim, reason in failed if reason}
+    parts = [
+        part
+        for why, (row, reason) in reasons.items()
+        for part in (
+            myst.bullets(_failed(other, claim) for other, claim, _ in failed if claim.why == why),
             f"> {myst.plain(row.why)}\n>\n> {evidence(reason)}",
-        ]
+        )
+    ]
     return "\n\n".join(parts) or "Nothing."
 
 
@@ -123,13 +124,8 @@ def _what_matters(results: Path, points: Mapping[str, OpenPoint]) -> str:
         return "What each of them does to the numbers is not among the results."
     first = sorted(times, key=lambda name: times[name], reverse=True)[:MOST]
     rows = [
-        [
-            point_link(name),
-            myst.plain(points[name].says),
-            _taken(points[name]),
-            _multiple(times[name]),
-        ]
-        for name in first
+        (point_link(one), myst.plain(points[one].says), _taken(points[one]), _multiple(times[one]))
+        for one in first
     ]
     return (
         f"The {len(rows)} that matter most, by what their other readings do to a headline number, "
@@ -144,10 +140,8 @@ def _taken(point: OpenPoint) -> str:
 
 def measured_times(results: Path) -> dict[str, float]:
     """Largest effect of each point that was measured, over the scatter between seas."""
-    times: dict[str, float] = {}
-    for row in effects(results):
-        times[row["point"]] = max(times.get(row["point"], 0.0), float(row["times"]))
-    return times
+    found = sorted((float(row["times"]), row["point"]) for row in effects(results))
+    return {point: times for times, point in found}
 
 
 def _multiple(times: float) -> str:
@@ -201,19 +195,11 @@ def _experiments(results: Path) -> str:
     rows = []
     for name, written in _provenances(results).items():
         runs = written["runs"].values()
-        solves: Counter[str] = Counter()
-        for run in runs:
-            solves.update(run.get("solver_statuses", {}))
-        failed = solves.total() - solves[CONVERGED]
-        rows.append(
-            [
-                myst.target(f"experiment-{name}", f"`{name}`"),
-                myst.plain(written["title"]),
-                str(len(runs)),
-                _duration(sum(run["seconds"] for run in runs)),
-                f"{failed} of {solves.total()}" if solves else myst.NONE,
-            ]
-        )
+        solves = sum((Counter(run.get("solver_statuses", {})) for run in runs), Counter[str]())
+        failed = f"{solves.total() - solves[CONVERGED]} of {solves.total()}"
+        title = [myst.target(f"experiment-{name}", f"`{name}`"), myst.plain(written["title"])]
+        time = _duration(sum(run["seconds"] for run in runs))
+        rows.append([*title, str(len(runs)), time, failed if solves else myst.NONE])
     return _table(("Experiment", "What", "Runs", "Processor time", "Solves not converged"), rows)
 
 
@@ -225,36 +211,26 @@ def _duration(seconds: float) -> str:
 
 
 def _environment(results: Path) -> str:
-    rows: dict[str, list[str]] = {}
-    for one in _provenances(results).values():
-        machine = one["machine"]
-        said = {
-            "Python": machine["python"],
-            "Platform": f"{machine['platform']}, {machine['processors']} processors",
+    found = pd.DataFrame(
+        {
+            "Python": one["machine"]["python"],
+            "Platform": "{platform}, {processors} processors".format(**one["machine"]),
             "Solver and plant": one["engine"],
             "Commit": one["commit"][:12],
             "Lock file (SHA-256)": one["lock"][:12],
-            **machine["libraries"],
+            **one["machine"]["libraries"],
         }
-        for name, what in said.items():
-            rows.setdefault(name, []).append(str(what))
-    found = [
-        [myst.plain(name), myst.plain(", ".join(dict.fromkeys(what)))]
-        for name, what in rows.items()
-    ]
-    return _table((), found)
+        for one in _provenances(results).values()
+    )
+    rows = {name: ", ".join(map(str, column.dropna().unique())) for name, column in found.items()}
+    return _table((), [[myst.plain(str(name)), myst.plain(what)] for name, what in rows.items()])
 
 
-PARTS: Mapping[str, Callable[[Path], str]] = {
-    "verdicts": _verdicts,
-    "headline": _headline,
-    "agreement": _agreement,
-    "disagreement": _disagreement,
-    "assumptions": _assumptions,
-    "wanted": _wanted,
-    "experiments": _experiments,
-    "environment": _environment,
-}
+_PARTS: tuple[Callable[[Path], str], ...] = (
+    _verdicts, _headline, _agreement, _disagreement,
+    _assumptions, _wanted, _experiments, _environment,
+)  # fmt: skip
+PARTS = {part.__name__.strip("_"): part for part in _PARTS}
 
 
 def _table(headings: Any, rows: Any) -> str:
@@ -266,7 +242,4 @@ def report(results: Path, part: str) -> str:
     return PARTS[part](results)
 
 
-def setup(app: Sphinx) -> dict[str, Any]:
-    """Register with Sphinx."""
-    app.add_directive("report", myst.directive(report, arguments=1))
-    return {"parallel_read_safe": True, "parallel_write_safe": True}
+setup = myst.extension({"report": myst.directive(report, arguments=1)})

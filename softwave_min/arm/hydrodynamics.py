@@ -61,6 +61,9 @@ def local_frame(angle: ca.SX) -> ca.SX:
 def drag_force(relative_velocity: ca.SX, normal: ca.SX, tangential: ca.SX) -> ca.SX:
     r"""Quadratic drag :math:`F_D = -\mathcal D v_r` in the local frame, in N.
 
+    The implicit step differentiates this law twice. Whoever changes it must change its first
+    derivative ``drag_slopes`` and its second ``drag_bends`` with it.
+
     Parameters
     ----------
     relative_velocity : SX, (2,)

@@ -3,7 +3,6 @@ r"""The arm in water as a NumPy object: what figures, tests and notebooks call."
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 
 import casadi as ca
@@ -139,9 +138,7 @@ class Arm:
             angle j.
         """
         times = np.full((*np.asarray(q).shape[:-1], 1), time)
-        function = _load_function(self.structure)
-        arguments = (q, qd, flow, times)
-        answers = self._columns(function, LOAD_TERMS, *arguments)
+        answers = self._columns(_load_function(self.structure), LOAD_TERMS, q, qd, flow, times)
         return {
             term: _as_matrices(flat, self.segments)
             for term, flat in zip(LOAD_TERMS, answers, strict=True)
@@ -149,8 +146,9 @@ class Arm:
 
     def fluid_load(self, q: ArrayLike, qd: ArrayLike, flow: Floats, time: float = 0.0) -> Floats:
         """F_E without the added mass, in N m: (n,) or (T, n). See ``load_terms``."""
-        times = np.full((*np.asarray(q).shape[:-1], 1), time)
-        return self._column(_fluid_load_function(self.structure), "load", q, qd, flow, times)
+        by_segment = np.add.reduce(list(self.load_terms(q, qd, flow, time).values()))
+        load: Floats = by_segment.sum(axis=-1)
+        return load
 
     def _columns(
         self, function: ca.Function, outputs: Sequence[str], *series: ArrayLike
@@ -180,79 +178,54 @@ def pack_flow(flow: NDArray[np.complex128]) -> Floats:
     return np.concatenate([flat.real, flat.imag], axis=-1)
 
 
-@dataclass(frozen=True)
-class _Symbols:
-    q: ca.SX
-    qd: ca.SX
-    packed: ca.SX
-    flow: ca.SX
-    time: ca.SX
-
-    @classmethod
-    def of(cls, structure: Structure) -> _Symbols:
-        n = structure.segments
-        return cls(
-            ca.SX.sym("q", n),
-            ca.SX.sym("qd", n),
-            ca.SX.sym("values", Values.size(n)),
-            ca.SX.sym("flow", structure.flow_size),
-            ca.SX.sym("time"),
-        )
-
-    def mechanics(self, structure: Structure) -> Mechanics:
-        return mechanics(
-            structure, self.q, self.qd, Values.unpacked(self.packed, structure.segments)
-        )
+def _symbols(structure: Structure) -> dict[str, ca.SX]:
+    n = structure.segments
+    sizes = {"q": n, "qd": n, "flow": structure.flow_size, "time": 1, "values": Values.size(n)}
+    return {name: ca.SX.sym(name, size) for name, size in sizes.items()}
 
 
-def _function(name: str, inputs: list[ca.SX], outputs: dict[str, ca.SX]) -> ca.Function:
-    columns = [ca.vec(output) for output in outputs.values()]
-    names = [f"i{index}" for index in range(len(inputs))]
-    return ca.Function(name, inputs, ca.cse(columns), names, list(outputs))
+def _mechanics(structure: Structure, on: dict[str, ca.SX]) -> Mechanics:
+    values = Values.unpacked(on["values"], structure.segments)
+    return mechanics(structure, on["q"], on["qd"], values)
+
+
+def _function(
+    on: dict[str, ca.SX], inputs: tuple[str, ...], outputs: dict[str, ca.SX]
+) -> ca.Function:
+    """Function of some of the symbols, then the values; outputs are columns."""
+    names = (*inputs, "values")
+    columns = ca.cse([ca.vec(output) for output in outputs.values()])
+    return ca.Function("arm", [on[name] for name in names], columns, list(names), list(outputs))
 
 
 @cache
 def _point_function(structure: Structure, segment: int, s: float) -> ca.Function:
-    on = _Symbols.of(structure)
-    values = Values.unpacked(on.packed, structure.segments)
-    bases = segment_bases(on.q, on.qd, values.length, values.base_position, values.base_angle)
-    point = body_point(bases[segment], segment, on.q, values.length[segment], s)
-    return _function(
-        "point",
-        [on.q, on.qd, on.packed],
-        {
-            "position": point.position,
-            "jacobian": point.jacobian,
-            "jacobian_rate": ca.jtimes(ca.vec(point.jacobian), on.q, on.qd),
-        },
-    )
+    on = _symbols(structure)
+    values = Values.unpacked(on["values"], structure.segments)
+    bases = segment_bases(on["q"], on["qd"], values.length, values.base_position, values.base_angle)
+    point = body_point(bases[segment], segment, on["q"], values.length[segment], s)
+    rate = ca.jtimes(ca.vec(point.jacobian), on["q"], on["qd"])
+    outputs = {"position": point.position, "jacobian": point.jacobian, "jacobian_rate": rate}
+    return _function(on, ("q", "qd"), outputs)
 
 
 @cache
 def _statics_function(structure: Structure, term: str) -> ca.Function:
     """One of the terms that depend on q alone."""
-    on = _Symbols.of(structure)
-    terms = on.mechanics(structure)
-    value = ca.vertcat(*terms.tips) if term == "tips" else getattr(terms, term)
-    return _function("statics", [on.q, on.packed], {term: value})
+    on = _symbols(structure)
+    arm = _mechanics(structure, on)
+    value = ca.vertcat(*arm.tips) if term == "tips" else getattr(arm, term)
+    return _function(on, ("q",), {term: value})
 
 
 @cache
 def _coriolis_function(structure: Structure) -> ca.Function:
-    on = _Symbols.of(structure)
-    terms = on.mechanics(structure)
-    return _function("coriolis", [on.q, on.qd, on.packed], {"coriolis": terms.coriolis})
+    on = _symbols(structure)
+    return _function(on, ("q", "qd"), {"coriolis": _mechanics(structure, on).coriolis})
 
 
 @cache
 def _load_function(structure: Structure) -> ca.Function:
-    on = _Symbols.of(structure)
-    terms = on.mechanics(structure).load_terms(on.flow, on.time)
-    return _function("load", [on.q, on.qd, on.flow, on.time, on.packed], terms)
-
-
-@cache
-def _fluid_load_function(structure: Structure) -> ca.Function:
-    on = _Symbols.of(structure)
-    load = on.mechanics(structure).fluid_load(on.flow, on.time)
-    return _function("load", [on.q, on.qd, on.flow, on.time, on.packed], {"load": load})
+    on = _symbols(structure)
+    terms = _mechanics(structure, on).load_terms(on["flow"], on["time"])
+    return _function(on, ("q", "qd", "flow", "time"), terms)

@@ -323,7 +323,7 @@ class ImplicitStep:
         """Derivatives of ``_motion`` by q and by qd, each part n columns wide."""
         n, jacobian = self._given.structure.segments, point.jacobian
         offset, jacobian_rate = self._arm.offset(point), point.gradient_of_product(self._qd)
-        turning, nothing = point.angle_jacobian.T, ca.SX.zeros(2, n)
+        turning, nothing = ca.SX(point.angle_jacobian.T), ca.SX.zeros(2, n)
         by_angles = SectionMotion(
             angle=turning,
             spin=ca.SX.zeros(1, n),

@@ -47,13 +47,13 @@ def noise_deviation(parameters: PreviewParameters, signal: Floats) -> Floats:
             return level / float(np.sqrt(parameters.signal_to_noise))
 
 
-def told_flow(parameters: PreviewParameters, flow: Floats) -> Floats:
+def forecast_flow(parameters: PreviewParameters, flow: Floats) -> Floats:
     """The flow as the controller is told it, (T, F): late, biased, or still water."""
     if not parameters.waves:
         return np.zeros_like(flow)
     late = np.maximum(np.arange(len(flow)) - parameters.delay_periods, 0)
-    told: Floats = (1 + parameters.bias) * flow[late]
-    return told
+    forecast: Floats = (1 + parameters.bias) * flow[late]
+    return forecast
 
 
 class Preview:
@@ -73,7 +73,7 @@ class Preview:
     def __init__(
         self, flow: Floats, deviation: Floats, horizon: int, parameters: PreviewParameters
     ) -> None:
-        self.flow = told_flow(parameters, flow)
+        self.flow = forecast_flow(parameters, flow)
         """The flow as it is told, one row per period."""
         self._deviation = deviation
         self._horizon = horizon

@@ -36,11 +36,6 @@ class Ablation:
     """Loop of the other controller that it is compared with; the nominal one if empty."""
 
     @property
-    def nominal(self) -> str:
-        """Loop of the same controller that it is compared with."""
-        return self.controller
-
-    @property
     def rival(self) -> str:
         """Loop of the other controller that it is compared with."""
         return self.opponent or (BASELINE if self.controller == NMPC else NMPC)

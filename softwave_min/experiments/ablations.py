@@ -32,6 +32,7 @@ from softwave_min.experiments.ablation_loops import (
 )
 from softwave_min.experiments.closed_loop import (
     WINDOWS,
+    RunData,
     failed_solves,
     fallbacks,
     settled_error,
@@ -43,7 +44,6 @@ from softwave_min.paper.cases import poses, wave_cases
 from softwave_min.parameters import ParameterSet
 from softwave_min.runs.experiment import Experiment, Run, RunArrays, Tables, Tolerance
 from softwave_min.runs.statistics import over_seas
-from softwave_min.simulation import compile_engine
 
 SEAS = 3
 """Random seas, unless the parameters ask for more than one."""
@@ -83,8 +83,7 @@ def pose_ablations(parameters: ParameterSet) -> tuple[Ablation, ...]:
     """The nominal loops, and every loop with one part changed."""
     period, horizon = parameters.nmpc.control_period, parameters.nmpc.horizon
     gain = integral_gain(parameters)
-    integral = (("baseline.integral_gain", gain),)
-    feedforward = (("baseline.load_feedforward", True),)
+    integral, feedforward = ("baseline.integral_gain", gain), ("baseline.load_feedforward", True)
     textbook = (("fluid.morison", "textbook"),)
 
     def forecast(name: str, label: str, *changes: tuple[str, Any], hold: bool = False) -> Ablation:
@@ -99,10 +98,8 @@ def pose_ablations(parameters: ParameterSet) -> tuple[Ablation, ...]:
         forecast("exact", "exact", ("preview.noise", "none")),
         forecast("ratio", "SNR as a ratio", ("preview.noise", "ratio")),
         *(
-            forecast(
-                f"late_{delay}", f"{delay * period:g} s late", ("preview.delay_periods", delay)
-            )
-            for delay in DELAYS
+            forecast(f"late_{one}", f"{one * period:g} s late", ("preview.delay_periods", one))
+            for one in DELAYS
         ),
         forecast("present", "present flow, held", hold=True),
         forecast("none", "still water", ("preview.waves", False), ("preview.noise", "none")),
@@ -111,10 +108,10 @@ def pose_ablations(parameters: ParameterSet) -> tuple[Ablation, ...]:
             for one, label, other in ((NMPC, "NMPC", BASELINE), (BASELINE, "baseline", NMPC))
         ),
         fairer("integral_half", "integral, half gain", ("baseline.integral_gain", gain / 2)),
-        fairer("integral", "integral", *integral),
+        fairer("integral", "integral", integral),
         fairer("integral_twice", "integral, twice gain", ("baseline.integral_gain", 2 * gain)),
-        fairer("feedforward", "load feed-forward", *feedforward),
-        fairer("both", "both", *integral, *feedforward),
+        fairer("feedforward", "load feed-forward", feedforward),
+        fairer("both", "both", integral, feedforward),
         *(
             Ablation(f"horizon_{K}", "horizon", f"K = {K}", "nmpc", (("nmpc.horizon", K),))
             for K in HORIZONS
@@ -145,10 +142,8 @@ def star_ablations(parameters: ParameterSet) -> tuple[Ablation, ...]:
     return (
         Ablation("period_1", "control", "nominal", "nmpc"),
         *(
-            Ablation(
-                f"period_{factor}", "control", f"{factor} times slower", "nmpc", slower(factor)
-            )
-            for factor in SLOWER
+            Ablation(f"period_{one}", "control", f"{one} times slower", "nmpc", slower(one))
+            for one in SLOWER
         ),
     )
 
@@ -163,35 +158,26 @@ def half_grid(parameters: ParameterSet) -> Iterator[Place]:
             yield Place(wave, pose, in_sea(one, wave, height))
 
 
-def _star_seas(parameters: ParameterSet) -> list[tuple[str, ParameterSet]]:
-    """Wave case by wave case."""
-    return sorted(star.seas_of(at_least(parameters, SEAS)), key=itemgetter(0))
-
-
-def _star_name(wave: str, parameters: ParameterSet) -> str:
-    return f"star-{wave}-{parameters.sea.seed}"
+def _on_star(parameters: ParameterSet) -> list[tuple[str, str, ParameterSet]]:
+    """Name of the run, wave case and parameters of each sea for the star, case by case."""
+    seas = sorted(star.seas_of(at_least(parameters, SEAS)), key=itemgetter(0))
+    return [(f"star-{wave}-{one.sea.seed}", wave, one) for wave, one in seas]
 
 
 def runs(parameters: ParameterSet) -> Sequence[Run]:
     """One run for each place, with all ablations, and one for the star in each sea."""
     compared, followed = pose_ablations(parameters), star_ablations(parameters)
     path = star.choice().path
-    at_poses = [
-        Run(place.run_name(), loops, AblationRun(place.parameters, place.path[0], compared))
-        for place in half_grid(parameters)
+    return [
+        *(
+            Run(place.run_name(), loops, AblationRun(place.parameters, place.path[0], compared))
+            for place in half_grid(parameters)
+        ),
+        *(
+            Run(name, loops, AblationRun(one, path, followed))
+            for name, _, one in _on_star(parameters)
+        ),
     ]
-    on_star = [
-        Run(_star_name(wave, one), loops, AblationRun(one, path, followed))
-        for wave, one in _star_seas(parameters)
-    ]
-    return [*at_poses, *on_star]
-
-
-def prepare(run: Run) -> None:
-    """Compile what the ablations need, those on the star included."""
-    parameters = run.parameters.parameters
-    for one in (*pose_ablations(parameters), *star_ablations(parameters)):
-        compile_engine(varied(parameters, one.changes))
 
 
 def tabulate(parameters: ParameterSet, arrays: RunArrays) -> Tables:
@@ -210,7 +196,7 @@ def tabulate(parameters: ParameterSet, arrays: RunArrays) -> Tables:
     }
 
 
-def _measured(parameters: ParameterSet, data: Any, ablation: Ablation) -> dict[str, Any]:
+def _measured(parameters: ParameterSet, data: RunData, ablation: Ablation) -> dict[str, Any]:
     """Errors of a loop in m, and what went wrong in it."""
     name, period = ablation.name, varied(parameters, ablation.changes).nmpc.control_period
     return {
@@ -225,20 +211,17 @@ def _cell_table(
     parameters: ParameterSet, arrays: RunArrays, compared: Sequence[Ablation]
 ) -> pd.DataFrame:
     """One row per ablation and place; ratios to the nominal loops in the same sea."""
-    places = list(half_grid(parameters))
     table = pd.DataFrame(
         {"variant": one.name, "group": one.group, **place.labels}
         | _measured(parameters, arrays[place.run_name()], one)
-        for one in compared
-        for place in places
+        for one, place in product(compared, half_grid(parameters))
     )
-    failures = ["solves_failed", "fallbacks"]
-    for name in (NMPC, BASELINE):
-        nominal = table[table["variant"] == name]
-        for window, ending in WINDOWS.items():
-            errors = np.tile(nominal[f"e_{window}"], len(compared))
-            table[f"ratio_{name}{ending}"] = table[f"e_{window}"] / errors
-    return table[[*table.columns.drop(failures), *failures]]
+    failures = table[["solves_failed", "fallbacks"]]
+    table = table.drop(columns=failures.columns)
+    for name, (window, ending) in product((NMPC, BASELINE), WINDOWS.items()):
+        nominal = table.loc[table["variant"] == name, f"e_{window}"]
+        table[f"ratio_{name}{ending}"] = table[f"e_{window}"] / np.tile(nominal, len(compared))
+    return table.join(failures)
 
 
 def _compared(table: pd.DataFrame, compared: Sequence[Ablation]) -> pd.DataFrame:
@@ -248,14 +231,14 @@ def _compared(table: pd.DataFrame, compared: Sequence[Ablation]) -> pd.DataFrame
     error of the NMPC over that of the other controller's loop.
     """
     place = ["wave", "pose", "Hs", "seed"]
-    parts: list[pd.DataFrame] = []
+    parts = []
     for window in WINDOWS:
         errors = table.pivot_table(index=place, columns="variant", values=f"e_{window}")
         for one in compared:
             own, rival = errors[one.name], errors[one.rival]
             part = pd.DataFrame(
                 {
-                    "ratio": own / errors[one.nominal],
+                    "ratio": own / errors[one.controller],
                     "against": own / rival if one.controller == NMPC else rival / own,
                 }
             ).reset_index()
@@ -270,7 +253,7 @@ def _summary(long: pd.DataFrame, compared: Sequence[Ablation]) -> pd.DataFrame:
     90 % of the cells; ``_least`` and ``_most`` are the smallest and the largest of the medians
     of single seas; ``order`` is the share of cells in which the NMPC has the smaller error.
     """
-    rows: list[dict[str, Any]] = []
+    rows = []
     for one, window in product(compared, WINDOWS):
         cells = long[(long["variant"] == one.name) & (long["window"] == window)]
         row: dict[str, Any] = {
@@ -294,10 +277,11 @@ def _summary(long: pd.DataFrame, compared: Sequence[Ablation]) -> pd.DataFrame:
 
 def _medians(long: pd.DataFrame, by: str) -> pd.DataFrame:
     """Medians over the cells with the same wave case or height, and the share in order."""
-    groups = long.groupby(["variant", "group", "window", by], sort=False)
-    table = groups[["ratio", "against"]].median()
-    table["order"] = groups["against"].apply(lambda column: float((column < 1).mean()))
-    return table.reset_index()
+    groups = long.assign(order=long["against"] < 1).groupby(
+        ["variant", "group", "window", by], sort=False
+    )
+    how = {"ratio": "median", "against": "median", "order": "mean"}
+    return groups.agg(how).reset_index()
 
 
 def _speed_table(parameters: ParameterSet, arrays: RunArrays) -> pd.DataFrame:
@@ -309,10 +293,10 @@ def _speed_table(parameters: ParameterSet, arrays: RunArrays) -> pd.DataFrame:
             "control_period": varied(one, ablation.changes).nmpc.control_period,
             "wave": wave,
             "seed": one.sea.seed,
-            **_measured(one, arrays[_star_name(wave, one)], ablation),
+            **_measured(one, arrays[name], ablation),
         }
         for ablation in star_ablations(parameters)
-        for wave, one in _star_seas(parameters)
+        for name, wave, one in _on_star(parameters)
     )
 
 
@@ -322,23 +306,22 @@ def _spreads(speed: pd.DataFrame) -> pd.DataFrame:
     Both are taken in each sea first; the numbers are the median, the smallest and the
     largest over the seas.
     """
-    rows: list[dict[str, Any]] = []
+    rows = []
     keys = ["variant", "label", "control_period"]
-    for found, cells in speed.groupby(keys, sort=False):
-        for window in WINDOWS:
-            by_sea = cells.pivot_table(index="seed", columns="wave", values=f"e_{window}")
-            spread = star.relative_range(by_sea)
-            rows.append(
-                {
-                    **dict(zip(keys, found, strict=True)),
-                    "window": window,
-                    "seas": len(by_sea),
-                    "error": by_sea.mean(axis=1).median(),
-                    "spread": spread.median(),
-                    "spread_least": spread.min(),
-                    "spread_most": spread.max(),
-                }
-            )
+    for (found, cells), window in product(speed.groupby(keys, sort=False), WINDOWS):
+        by_sea = cells.pivot_table(index="seed", columns="wave", values=f"e_{window}")
+        spread = star.relative_range(by_sea)
+        rows.append(
+            {
+                **dict(zip(keys, found, strict=True)),
+                "window": window,
+                "seas": len(by_sea),
+                "error": by_sea.mean(axis=1).median(),
+                "spread": spread.median(),
+                "spread_least": spread.min(),
+                "spread_most": spread.max(),
+            }
+        )
     return pd.DataFrame(rows)
 
 
@@ -348,13 +331,15 @@ EXPERIMENT = Experiment(
     claims=(),
     runs=runs,
     tabulate=tabulate,
-    prepare=prepare,
     tolerances={
         # Quotients of errors that are themselves reproduced to 1e-4.
         column: Tolerance(relative=5e-4)
         for column in (
-            *("ratio", "ratio_low", "ratio_high", "ratio_least", "ratio_most"),
-            *("against", "against_low", "against_high", "against_least", "against_most"),
+            *(
+                f"{name}{ending}"
+                for name in ("ratio", "against")
+                for ending in ("", "_low", "_high", "_least", "_most")
+            ),
             *("ratio_nmpc", "ratio_nmpc_settled", "ratio_baseline", "ratio_baseline_settled"),
             *("spread", "spread_least", "spread_most"),
         )

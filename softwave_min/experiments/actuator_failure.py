@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from softwave_min.experiments import places as grid
 from softwave_min.experiments.closed_loop import (
@@ -26,17 +26,16 @@ from softwave_min.experiments.closed_loop import (
     failed_solves,
     fallbacks,
     others,
-    prepare,
 )
 from softwave_min.experiments.failures import INTACT, PAPERS_CASE, failure_cases
+from softwave_min.experiments.fixed_arm import peak_wave_number
 from softwave_min.experiments.places import Place
 from softwave_min.paper.cases import wave_cases
 from softwave_min.paper.numbers import CONTROLLER, actuator_failure
 from softwave_min.parameters import ParameterSet
 from softwave_min.runs.experiment import Experiment, Run, RunArrays, Tables, Tolerance
-from softwave_min.runs.statistics import interval
+from softwave_min.runs.statistics import over_seas
 from softwave_min.simulation import REFERENCE
-from softwave_min.waves import wave_number
 
 Floats = NDArray[np.float64]
 Row = dict[str, Any]
@@ -78,36 +77,31 @@ def tabulate(parameters: ParameterSet, arrays: RunArrays) -> Tables:
         "statements": statements(table),
         "passive_motion": joints,
         "excitation": excitation(table, joints),
-        "wave_size": pd.DataFrame(list(_size_rows(parameters))),
+        "wave_size": pd.DataFrame(_size_rows(parameters)),
     }
 
 
 def grid_table(parameters: ParameterSet, arrays: RunArrays, cases: Sequence[str]) -> pd.DataFrame:
     """Table 'actuator_failure': errors and rises at every place, in each of the cases."""
-    return pd.DataFrame(
-        [row for place in places(parameters) for row in _rows(place, arrays, cases)]
-    )
+    every = places(parameters)
+    return pd.DataFrame([row for place in every for row in _rows(place, arrays, cases)])
 
 
 def _rows(place: Place, arrays: RunArrays, cases: Sequence[str]) -> Iterator[Row]:
     period = place.parameters.nmpc.control_period
-    intact = arrays[place.run_name(INTACT)]
-    before = {name: errors(intact, name, period) for name in controllers()}
+    before = errors(arrays[place.run_name(INTACT)], controllers(), period)
     for case in cases:
         data = arrays[place.run_name(case)]
-        after = {name: errors(data, name, period) for name in others()}
+        after = errors(data, others(), period)
         row: Row = {**place.labels, "case": case}
         for ending in WINDOWS.values():
-            row |= {f"e_{name}{ending}": after[name][ending] for name in after}
-            row[f"e_{REFERENCE}_intact{ending}"] = before[REFERENCE][ending]
-            for name in after:
-                rise = 100 * (after[name][ending] / before[name][ending] - 1)
-                row[f"rise_percent_{name}{ending}"] = rise
+            keys = [f"{name}{ending}" for name in others()]
+            row |= {f"e_{key}": after[key] for key in keys}
+            row[f"e_{REFERENCE}_intact{ending}"] = before[f"{REFERENCE}{ending}"]
+            row |= {f"rise_percent_{key}": 100 * (after[key] / before[key] - 1) for key in keys}
         names = controllers() if case == INTACT else others()
-        row["solves_failed"], row["fallbacks"] = (
-            failed_solves(data, *names),
-            fallbacks(data, *names),
-        )
+        row["solves_failed"] = failed_solves(data, *names)
+        row["fallbacks"] = fallbacks(data, *names)
         yield row
 
 
@@ -126,49 +120,40 @@ def motion(angle: Floats, period: float, frequency_hz: float) -> tuple[float, fl
 
 def _joint_table(parameters: ParameterSet, arrays: RunArrays) -> pd.DataFrame:
     """Motion of each passive joint after the start, and of the same joint actuated."""
-    passive = {
-        case: state.segment
-        for case, state in failure_cases(parameters).items()
-        if state.segment and state.manner == "passive"
-    }
-    start = round(TRANSIENT / parameters.nmpc.control_period)
+    period = parameters.nmpc.control_period
+    start = round(TRANSIENT / period)
     rows: list[Row] = []
-    for name, place in product(others(), places(parameters)):
+    for name, place, (case, state) in product(
+        others(), places(parameters), failure_cases(parameters).items()
+    ):
+        if case == INTACT or state.manner == "locked":
+            continue
         frequency = 1 / place.parameters.sea.peak_period
-        for case, segment in passive.items():
-            for arm in (INTACT, case):
-                angle = arrays[place.run_name(arm)][f"{name}_q"][start:, segment - 1]
-                below, above = motion(angle, place.parameters.nmpc.control_period, frequency)
-                rows.append(
-                    {
-                        "controller": name,
-                        **place.labels,
-                        "case": arm,
-                        "segment": segment,
-                        "peak_frequency_hz": frequency,
-                        "rms_below": below,
-                        "rms_above": above,
-                        "share_above": above**2 / (below**2 + above**2),
-                    }
-                )
+        for arm in (INTACT, case):
+            angle = arrays[place.run_name(arm)][f"{name}_q"][start:, state.segment - 1]
+            below, above = motion(angle, period, frequency)
+            rows.append(
+                {
+                    "controller": name,
+                    **place.labels,
+                    "case": arm,
+                    "segment": state.segment,
+                    "peak_frequency_hz": frequency,
+                    "rms_below": below,
+                    "rms_above": above,
+                    "share_above": above**2 / (below**2 + above**2),
+                }
+            )
     return pd.DataFrame(rows)
 
 
 def headline(table: pd.DataFrame) -> pd.DataFrame:
     """Rises of the RMSE per spectrum and over all, with their spread over seas.
 
-    Parameters
-    ----------
-    table : DataFrame
-        The table 'actuator_failure', or a part of its cases.
-
-    Returns
-    -------
-    DataFrame
-        A row for each controller, failure, window, spectrum (and all) and reading of 'the
-        rise': the mean or the maximum over poses and heights. ``rise``, ``low`` and ``high``
-        are median, 5 % and 95 % over seas, in per cent; ``paper`` is empty where the paper
-        has no number.
+    A row for each controller, failure, window, spectrum (and all) and reading of 'the rise':
+    the mean or the maximum over poses and heights. ``rise``, ``low`` and ``high`` are median,
+    5 % and 95 % over seas, in per cent; ``paper`` is empty where the paper has no number.
+    ``table`` is 'actuator_failure', or a part of its cases.
     """
     paper = actuator_failure()
     quoted = {ALL: paper.rise, paper.lowest_rise_case: paper.lowest_rise}
@@ -213,9 +198,9 @@ def spread(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _middle_first(name: str, values: Any, prefix: str = "") -> dict[str, float]:
-    found = interval(values, name, prefix)
-    return {name: found.pop(name), **found}
+def _middle_first(name: str, values: ArrayLike, prefix: str = "") -> dict[str, float]:
+    low, median, high = over_seas(values)
+    return {name: median, f"{prefix}low": low, f"{prefix}high": high}
 
 
 def _is_papers(labels: Row) -> bool:
@@ -262,13 +247,13 @@ def statements(table: pd.DataFrame) -> pd.DataFrame:
                 "case": case,
                 "window": window,
                 "cells": len(cells),
-                "better": int(better.sum()),
-                "better_at_largest": int((better & (cells["Hs"] == cells["Hs"].max())).sum()),
-                "below_baseline": int((ratio < 1).sum()),
-                "largest_ratio": float(ratio.max()),
-                "largest_error": float(error.max()),
-                "solves_failed": int(cells["solves_failed"].sum()),
-                "fallbacks": int(cells["fallbacks"].sum()),
+                "better": better.sum(),
+                "better_at_largest": (better & (cells["Hs"] == cells["Hs"].max())).sum(),
+                "below_baseline": (ratio < 1).sum(),
+                "largest_ratio": ratio.max(),
+                "largest_error": error.max(),
+                "solves_failed": cells["solves_failed"].sum(),
+                "fallbacks": cells["fallbacks"].sum(),
             }
         )
     return pd.DataFrame(rows)
@@ -286,19 +271,18 @@ def excitation(table: pd.DataFrame, joints: pd.DataFrame) -> pd.DataFrame:
     for name, case, wave in product(others(), _failures(joints), _waves(joints)):
         here = joints[(joints["controller"] == name) & (joints["wave"] == wave)]
         passive = here[here["case"] == case]
-        segment = passive["segment"].iloc[0]
-        actuated = here[(here["case"] == INTACT) & (here["segment"] == segment)]
+        actuated = here[(here["case"] == INTACT) & here["segment"].isin(passive["segment"])]
         cells = table[(table["case"] == case) & (table["wave"] == wave)]
-        above = float(passive["rms_above"].mean())
+        above = passive["rms_above"].mean()
         rows.append(
             {
                 "controller": name,
                 "case": case,
                 "wave": wave,
-                "rms_below": float(passive["rms_below"].mean()),
+                "rms_below": passive["rms_below"].mean(),
                 "rms_above": above,
-                "above_to_actuated": above / float(actuated["rms_above"].mean()),
-                "rise_percent": float(cells[f"rise_percent_{name}"].mean()),
+                "above_to_actuated": above / actuated["rms_above"].mean(),
+                "rise_percent": cells[f"rise_percent_{name}"].mean(),
             }
         )
     return pd.DataFrame(rows)
@@ -308,10 +292,8 @@ def _size_rows(parameters: ParameterSet) -> Iterator[Row]:
     """Largest height and length of each wave in lengths of the arm (C58)."""
     body = sum(parameters.arm.length)
     for wave, case in wave_cases().items():
-        frequency = 2 * math.pi / case.peak_period
-        number = wave_number(frequency, parameters.sea.depth, parameters.fluid.gravity)
-        length = 2 * math.pi / float(number)
         height = max(case.significant_height)
+        length = 2 * math.pi / peak_wave_number(grid.in_sea(parameters, wave, height))
         yield {
             "wave": wave,
             "body_length": body,
@@ -329,7 +311,6 @@ EXPERIMENT = Experiment(
     claims=(*(f"C{number}" for number in range(48, 61)), "C70"),
     runs=runs,
     tabulate=tabulate,
-    prepare=prepare,
     tolerances={
         # Per cent of an error that is itself reproduced to 1e-4, hence points.
         column: Tolerance(absolute=0.05)

@@ -6,9 +6,9 @@ its parameters, and reads no file.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,6 @@ from softwave_min.simulation import (
     REFERENCE,
     ClosedLoop,
     Scenario,
-    compile_engine,
     root_mean_square_error,
     simulate,
 )
@@ -48,15 +47,6 @@ def others() -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class MeasuredSpectrum:
-    """The shape of a measured sea, whatever its format was."""
-
-    frequency_hz: tuple[float, ...]
-    density: tuple[float, ...]
-    """In m^2/Hz."""
-
-
-@dataclass(frozen=True)
 class LoopRun:
     """All that determines the closed loops on one path in one sea."""
 
@@ -65,8 +55,9 @@ class LoopRun:
     path: Path
     """Desired tip at every control instant, in m; it stays at its last point."""
     controllers: tuple[str, ...] = field(default_factory=controllers)
-    spectrum: MeasuredSpectrum | None = None
-    """Taken in place of the JONSWAP curve and scaled to the parameters' height."""
+    spectrum: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    """Frequencies in Hz and densities in m^2/Hz, taken in place of the JONSWAP curve and
+    scaled to the parameters' height."""
 
 
 def with_failure(
@@ -82,15 +73,8 @@ def sea_of(run: LoopRun) -> Sea:
     sea, gravity = run.parameters.sea, run.parameters.fluid.gravity
     if run.spectrum is None:
         return Sea.random(sea, gravity)
-    measured = Spectrum(np.array(run.spectrum.frequency_hz), np.array(run.spectrum.density))
-    return Sea.from_spectrum(
-        measured.scaled_to(sea.significant_height),
-        (sea.lowest_frequency_hz, sea.highest_frequency_hz),
-        sea.components,
-        depth=sea.depth,
-        gravity=gravity,
-        rng=np.random.default_rng(sea.seed),
-    )
+    frequency_hz, density = (np.array(one) for one in run.spectrum)
+    return Sea.from_spectrum(Spectrum(frequency_hz, density), sea, gravity)
 
 
 def scenario_of(run: LoopRun) -> Scenario:
@@ -98,57 +82,35 @@ def scenario_of(run: LoopRun) -> Scenario:
     return Scenario.build(run.parameters, sea_of(run), np.array(run.path))
 
 
-class _Prepared(Protocol):
-    @property
-    def parameters(self) -> Any: ...
-
-
-def prepare(run: _Prepared) -> None:
-    """Compile what the run needs, if its parameters are or hold a set."""
-    found = getattr(run.parameters, "parameters", run.parameters)
-    if isinstance(found, ParameterSet):
-        compile_engine(found)
-
-
 def closed_loops(run: LoopRun) -> dict[str, NDArray[Any]]:
-    """Simulate each controller; ``<controller>_<field>`` for the fields of ``kept``."""
+    """Simulate each controller, and keep what tables are made of.
+
+    Returns
+    -------
+    dict of ndarray
+        ``<controller>_error`` (T + 1,) in m; ``_q`` (T + 1, n) in rad; ``_tip`` (T + 1, 2)
+        in m; ``_wave_torque`` (T, n) in N m; ``_status`` and ``_source`` (T,).
+    """
     scenario = scenario_of(run)
     found: dict[str, NDArray[Any]] = {}
-    for controller in run.controllers:
-        loop = simulate(scenario, controller)
-        found |= {f"{controller}_{name}": array for name, array in kept(loop).items()}
+    for name in run.controllers:
+        loop = simulate(scenario, name)
+        found |= summary_arrays(loop, name)
+        found |= {f"{name}_q": loop.q, f"{name}_tip": loop.tips[:, -1]}
+        found[f"{name}_wave_torque"] = loop.wave_torque
     return found
 
 
 def errors_alone(run: LoopRun) -> dict[str, NDArray[Any]]:
     """`closed_loops` with ``SUMMARY_FIELDS`` and no more, where there are many of them."""
-    found = closed_loops(run)
-    return {name: array for name, array in found.items() if name.endswith(SUMMARY_FIELDS)}
+    found = closed_loops(run).items()
+    return {name: array for name, array in found if name.endswith(SUMMARY_FIELDS)}
 
 
 def whole_record(run: LoopRun) -> dict[str, NDArray[Any]]:
     """Simulate a run of one controller; the arrays are the fields of ``ClosedLoop``."""
     (controller,) = run.controllers
     return vars(simulate(scenario_of(run), controller))
-
-
-def kept(loop: ClosedLoop) -> dict[str, NDArray[Any]]:
-    """What is kept of a run of a sweep.
-
-    Returns
-    -------
-    dict of ndarray
-        ``error`` (T + 1,) in m; ``q`` (T + 1, n) in rad; ``tip`` (T + 1, 2) in m;
-        ``wave_torque`` (T, n) in N m; ``status`` and ``source`` (T,).
-    """
-    return {
-        "error": loop.error,
-        "q": loop.q,
-        "tip": loop.tips[:, -1],
-        "wave_torque": loop.wave_torque,
-        "status": loop.status,
-        "source": loop.source,
-    }
 
 
 def summary_arrays(loop: ClosedLoop, name: str) -> dict[str, NDArray[Any]]:
@@ -166,9 +128,10 @@ def settled_error(data: RunData, name: str, period: float) -> float:
     return root_mean_square_error(data[f"{name}_error"][round(TRANSIENT / period) :])
 
 
-def errors(data: RunData, name: str, period: float) -> dict[str, float]:
-    """RMSE of a loop in each of the ``WINDOWS``, in m, by the ending of its columns."""
-    return {"": whole_error(data, name), "_settled": settled_error(data, name, period)}
+def errors(data: RunData, names: Sequence[str], period: float) -> dict[str, float]:
+    """RMSE of each loop in each of the ``WINDOWS``, in m, by its name and the window's ending."""
+    whole = {name: whole_error(data, name) for name in names}
+    return whole | {f"{name}_settled": settled_error(data, name, period) for name in names}
 
 
 def failed_solves(data: RunData, *names: str) -> int:

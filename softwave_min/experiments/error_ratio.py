@@ -8,12 +8,12 @@ the loads on the controlled arm here, and on a fixed arm in `fixed_arm`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import permutations
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from softwave_min.experiments.closed_loop import (
     TRANSIENT,
@@ -26,13 +26,12 @@ from softwave_min.experiments.closed_loop import (
     failed_solves,
     fallbacks,
     others,
-    prepare,
 )
 from softwave_min.experiments.fixed_arm import curvature, torque_columns
 from softwave_min.experiments.fixed_arm_loads import rms
 from softwave_min.experiments.places import Place, places
 from softwave_min.paper.cases import Point, poses
-from softwave_min.paper.numbers import CONTROLLER, Reduction, error_ratio
+from softwave_min.paper.numbers import CONTROLLER, error_ratio
 from softwave_min.parameters import ParameterSet
 from softwave_min.runs.experiment import Arrays, Experiment, Run, RunArrays, Tables
 from softwave_min.runs.statistics import interval, rank_correlation
@@ -77,22 +76,20 @@ def grid_table(parameters: ParameterSet, arrays: RunArrays) -> pd.DataFrame:
     ``ratio_<name>`` is e_<name> / e_baseline over the whole run; ``_settled`` is without the
     start. ``solves_failed`` did not converge, ``fallbacks`` commands came from a fallback.
     """
+    every = places(parameters)
     return pd.DataFrame(
-        [
-            {**place.labels, **_errors(place, arrays[place.run_name()])}
-            for place in places(parameters)
-        ]
+        [{**place.labels, **_errors(place, arrays[place.run_name()])} for place in every]
     )
 
 
 def _errors(place: Place, data: Arrays) -> Row:
-    period, names = place.parameters.nmpc.control_period, controllers()
-    found = {name: errors(data, name, period) for name in names}
+    names = controllers()
+    found = errors(data, names, place.parameters.nmpc.control_period)
     row: Row = {}
     for ending in WINDOWS.values():
-        row |= {f"e_{name}{ending}": found[name][ending] for name in names}
+        row |= {f"e_{name}{ending}": found[f"{name}{ending}"] for name in names}
         for name in others():
-            row[f"ratio_{name}{ending}"] = found[name][ending] / found[REFERENCE][ending]
+            row[f"ratio_{name}{ending}"] = found[f"{name}{ending}"] / found[f"{REFERENCE}{ending}"]
         if not ending:
             row["solves_failed"] = failed_solves(data, *names)
             row["fallbacks"] = fallbacks(data, *names)
@@ -104,14 +101,15 @@ def extremes(table: pd.DataFrame) -> pd.DataFrame:
 
     In per cent, 100 (1 - ratio), with pose and height of the place.
     """
-    quoted = error_ratio().reduction
+    reductions = error_ratio().reduction
     rows: list[Row] = []
     for name in others():
         for (wave, seed), group in table.groupby(["wave", "seed"], sort=False):
+            quoted = vars(reductions[str(wave)]) if name == CONTROLLER else {}
             by_ratio = group.sort_values(f"ratio_{name}", kind="stable")
             for extreme, place in (("largest", by_ratio.iloc[0]), ("smallest", by_ratio.iloc[-1])):
                 reduction = 100 * (1 - place[f"ratio_{name}"])
-                published, pose = _quoted(quoted[str(wave)], extreme, name)
+                published = quoted.get(extreme, np.nan)
                 rows.append(
                     {
                         "wave": wave,
@@ -122,7 +120,7 @@ def extremes(table: pd.DataFrame) -> pd.DataFrame:
                         "pose": place["pose"],
                         "Hs": place["Hs"],
                         "paper": published,
-                        "paper_pose": pose,
+                        "paper_pose": quoted.get(f"{extreme}_pose", ""),
                         "difference": reduction - published,
                         "failed": int(place["solves_failed"] + place["fallbacks"]),
                     }
@@ -130,29 +128,13 @@ def extremes(table: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _quoted(reduction: Reduction, extreme: str, controller: str) -> tuple[float, str]:
-    """The paper's number and pose; it has none of a controller that is not its own."""
-    if controller != CONTROLLER:
-        return np.nan, ""
-    return getattr(reduction, extreme), getattr(reduction, f"{extreme}_pose")
-
-
 def headline(table: pd.DataFrame, window: Window = "whole") -> pd.DataFrame:
     """Median and 90 % interval over the seas of what the paper puts into its text.
 
-    Parameters
-    ----------
-    table : DataFrame
-        With columns ``wave``, ``seed`` and the ratios, one row per place.
-    window : {'whole', 'settled'}
-        Over which the errors are taken.
-
-    Returns
-    -------
-    DataFrame
-        Per controller and wave, and for ``all`` of them: ``largest`` and ``smallest``
-        reduction, and the share of places ``below_one``, in per cent; number of ``seeds``,
-        ``low``, ``median``, ``high`` and the paper's value.
+    Per controller and wave, and for ``all`` of them: ``largest`` and ``smallest`` reduction,
+    and the share of places ``below_one``, in per cent; number of ``seeds``, ``low``,
+    ``median``, ``high`` and the paper's value. ``table`` has one row per place with its
+    ``wave``, ``seed`` and ratios; ``window`` is that of the errors.
     """
     grids = {**{str(wave): rows for wave, rows in table.groupby("wave")}, "all": table}
     return pd.DataFrame(
@@ -172,12 +154,12 @@ def headline(table: pd.DataFrame, window: Window = "whole") -> pd.DataFrame:
     )
 
 
-def _per_seed(grid: pd.DataFrame, column: str) -> dict[str, NDArray[np.float64]]:
-    ratios = [rows[column].to_numpy(float) for _, rows in grid.groupby("seed")]
+def _per_seed(grid: pd.DataFrame, column: str) -> dict[str, pd.Series]:
+    ratios = grid.groupby("seed")[column]
     return {
-        "largest": np.array([100 * (1 - ratio.min()) for ratio in ratios]),
-        "smallest": np.array([100 * (1 - ratio.max()) for ratio in ratios]),
-        "below_one": np.array([100 * np.mean(ratio < 1) for ratio in ratios]),
+        "largest": 100 * (1 - ratios.min()),
+        "smallest": 100 * (1 - ratios.max()),
+        "below_one": 100 * (grid[column] < 1).groupby(grid["seed"]).mean(),
     }
 
 
@@ -196,18 +178,20 @@ def trends(table: pd.DataFrame) -> pd.DataFrame:
 
     -1 where the reduction grows with every step of the height.
     """
+    endings = [f"{name}{ending}" for name in others() for ending in WINDOWS.values()]
+    pairs = {f"correlation_{ending}": ("Hs", f"ratio_{ending}") for ending in endings}
+    return _correlations(table, ["wave", "pose", "seed"], pairs)
+
+
+def _correlations(
+    table: pd.DataFrame, keys: list[str], pairs: Mapping[str, tuple[str, str]]
+) -> pd.DataFrame:
+    """Rank correlations of pairs of columns, by name, within each group of the keys."""
+    groups = table.groupby(keys, sort=False)
     return pd.DataFrame(
-        [
-            {"wave": wave, "pose": pose, "seed": seed}
-            | {
-                f"correlation_{name}{ending}": rank_correlation(
-                    rows.Hs, rows[f"ratio_{name}{ending}"]
-                )
-                for name in others()
-                for ending in WINDOWS.values()
-            }
-            for (wave, pose, seed), rows in table.groupby(["wave", "pose", "seed"], sort=False)
-        ]
+        dict(zip(keys, key, strict=True))
+        | {name: rank_correlation(rows[x], rows[y]) for name, (x, y) in pairs.items()}
+        for key, rows in groups
     )
 
 
@@ -217,22 +201,18 @@ def period_spread(table: pd.DataFrame, base: Point) -> pd.DataFrame:
     At each height the largest less the smallest ratio of the cases; mean and largest over
     the heights. ``distance`` of the pose from the base, in m.
     """
-    targets = poses()
-    rows: list[Row] = []
-    for (pose, seed), group in table.groupby(["pose", "seed"], sort=False):
-        by_height = group.groupby("Hs")
-        row = {"pose": pose, "seed": seed}
-        row["distance"] = float(np.hypot(*np.subtract(targets[str(pose)], base)))
-        for name in others():
-            whole, settled = (
-                by_height[f"ratio_{name}{ending}"].agg(lambda one: one.max() - one.min())
-                for ending in WINDOWS.values()
-            )
-            row[f"spread_{name}"] = whole.mean()
-            row[f"spread_{name}_largest"] = whole.max()
-            row[f"spread_{name}_settled"] = settled.mean()
-        rows.append(row)
-    return pd.DataFrame(rows)
+    by_height = table.groupby(["pose", "seed", "Hs"], sort=False)
+    differences = by_height.max(numeric_only=True) - by_height.min(numeric_only=True)
+    by_place = differences.groupby(["pose", "seed"], sort=False)
+    mean, largest = by_place.mean(), by_place.max()
+    found = mean.index.to_frame(index=False)
+    targets = np.array([poses()[pose] for pose in found["pose"]])
+    found["distance"] = np.hypot(*(targets - base).T)
+    for name in others():
+        found[f"spread_{name}"] = mean[f"ratio_{name}"].array
+        found[f"spread_{name}_largest"] = largest[f"ratio_{name}"].array
+        found[f"spread_{name}_settled"] = mean[f"ratio_{name}_settled"].array
+    return found
 
 
 def torque_table(parameters: ParameterSet, arrays: RunArrays) -> pd.DataFrame:
@@ -240,26 +220,21 @@ def torque_table(parameters: ParameterSet, arrays: RunArrays) -> pd.DataFrame:
 
     One row per place and controller: `curvature` of the mean posture, and `torque_columns`.
     """
-    return pd.DataFrame(
-        [
-            {
-                **place.labels,
-                "controller": controller,
-                **_load(place.parameters, arrays[place.run_name()], controller),
-            }
-            for place in places(parameters)
-            for controller in controllers()
-        ]
-    )
-
-
-def _load(parameters: ParameterSet, data: Arrays, controller: str) -> Row:
     start = round(TRANSIENT / parameters.nmpc.control_period)
-    posture = data[f"{controller}_q"][start:].mean(axis=0)
-    return {
-        "curvature": curvature(posture, parameters),
-        **torque_columns(rms(data[f"{controller}_wave_torque"][start:])),
-    }
+    rows: list[Row] = []
+    for place in places(parameters):
+        data = arrays[place.run_name()]
+        for name in controllers():
+            posture = data[f"{name}_q"][start:].mean(axis=0)
+            rows.append(
+                {
+                    **place.labels,
+                    "controller": name,
+                    "curvature": curvature(posture, parameters),
+                    **torque_columns(rms(data[f"{name}_wave_torque"][start:])),
+                }
+            )
+    return pd.DataFrame(rows)
 
 
 def curvature_correlations(torques: pd.DataFrame, table: pd.DataFrame) -> pd.DataFrame:
@@ -268,19 +243,12 @@ def curvature_correlations(torques: pd.DataFrame, table: pd.DataFrame) -> pd.Dat
     ``curvature_torque``: is the torque lower where the arm is more curved?
     ``torque_reduction_<name>``: is the reduction of the error larger where the torque is?
     """
-    joined = torques.merge(table[[*PLACE, *(f"ratio_{name}" for name in others())]], on=PLACE)
-    keys = [*SEA, "controller"]
-    return pd.DataFrame(
-        [
-            dict(zip(keys, key, strict=True))
-            | {"curvature_torque": rank_correlation(rows.curvature, rows.torque)}
-            | {
-                f"torque_reduction_{name}": rank_correlation(rows.torque, 1 - rows[f"ratio_{name}"])
-                for name in others()
-            }
-            for key, rows in joined.groupby(keys, sort=False)
-        ]
-    )
+    joined = torques.merge(table, on=PLACE)
+    pairs = {"curvature_torque": ("curvature", "torque")}
+    for name in others():
+        joined[f"reduction_{name}"] = 1 - joined[f"ratio_{name}"]
+        pairs[f"torque_reduction_{name}"] = ("torque", f"reduction_{name}")
+    return _correlations(joined, [*SEA, "controller"], pairs)
 
 
 def depth_pairs(torques: pd.DataFrame, table: pd.DataFrame) -> pd.DataFrame:
@@ -293,7 +261,9 @@ def depth_pairs(torques: pd.DataFrame, table: pd.DataFrame) -> pd.DataFrame:
     loads = torques[torques.controller == REFERENCE][[*PLACE, "torque"]]
     by_pose = dict(iter(table.merge(loads, on=PLACE).groupby("pose")))
     pairs = []
-    for upper, lower in _above_one_another():
+    for (upper, (x, z)), (lower, (other_x, other_z)) in permutations(poses().items(), 2):
+        if x != other_x or z < other_z:
+            continue
         both = by_pose[upper].merge(by_pose[lower], on=SEA, suffixes=("_upper", "_lower"))
         pair = both[SEA].assign(upper=upper, lower=lower)
         for name in others():
@@ -303,22 +273,10 @@ def depth_pairs(torques: pd.DataFrame, table: pd.DataFrame) -> pd.DataFrame:
     return pd.concat(pairs, ignore_index=True)
 
 
-def _above_one_another() -> list[tuple[str, str]]:
-    """Pairs of poses at the same x, the upper one first."""
-    targets = poses()
-    return [
-        (upper, lower)
-        for upper, (x, z) in targets.items()
-        for lower, (other_x, other_z) in targets.items()
-        if x == other_x and z > other_z
-    ]
-
-
 EXPERIMENT = Experiment(
     name="error_ratio",
     title="Set-point regulation: all controllers at six poses in eighteen seas",
     claims=("C01", *(f"C{number}" for number in range(30, 41))),
     runs=runs,
     tabulate=tabulate,
-    prepare=prepare,
 )

@@ -6,7 +6,8 @@ shipped set is taken, and once in a sea with a measured spectrum, scaled to the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
 
 import numpy as np
 import pandas as pd
@@ -16,10 +17,8 @@ from softwave_min.data import data_folder
 from softwave_min.experiments.closed_loop import (
     TRANSIENT,
     LoopRun,
-    MeasuredSpectrum,
     controllers,
     others,
-    prepare,
     whole_record,
 )
 from softwave_min.experiments.places import in_realisation
@@ -43,9 +42,8 @@ KEY_GAP = 0.5
 def runs(parameters: ParameterSet) -> Sequence[Run]:
     """Every controller in both seas, each of them one run with all its signals."""
     chosen = example_case()
-    record = named_records(data_folder() / "buoys" / "records.toml")[chosen.measured].spectrum
-    measured = MeasuredSpectrum(tuple(record.frequency_hz.tolist()), tuple(record.density.tolist()))
-    spectra = {"jonswap": None, "measured": measured}
+    record = named_records(data_folder() / "buoys" / "records.toml")[chosen.measured]
+    spectra = {"jonswap": None, "measured": (record.frequency_hz, record.density)}
     first, path = in_realisation(parameters, 0), (poses()[chosen.pose],)
     return [
         Run(f"{sea}-{name}", whole_record, LoopRun(first, path, (name,), spectra[sea]))
@@ -61,14 +59,11 @@ def key_moments(time: Floats, wave_torque: Floats) -> list[tuple[float, float]]:
     ``KEY_QUANTILE`` over the window; intervals less than ``KEY_GAP`` apart are joined.
     """
     level = np.linalg.norm(wave_torque, axis=1)
-    period = float(time[1] - time[0])
-    intervals: list[tuple[float, float]] = []
-    for instant in time[: len(level)][level > np.quantile(level, KEY_QUANTILE)]:
-        if intervals and instant - intervals[-1][1] < KEY_GAP:
-            intervals[-1] = (intervals[-1][0], float(instant) + period)
-        else:
-            intervals.append((float(instant), float(instant) + period))
-    return intervals
+    starts = time[: len(level)][level > np.quantile(level, KEY_QUANTILE)]
+    ends = starts + (time[1] - time[0])
+    apart = np.flatnonzero(starts[1:] - ends[:-1] >= KEY_GAP) + 1
+    parts = zip(np.split(starts, apart), np.split(ends, apart), strict=True)
+    return [(float(start[0]), float(end[-1])) for start, end in parts if len(start)]
 
 
 def lag_and_correlation(first: Floats, second: Floats, period: float) -> tuple[float, float]:
@@ -80,31 +75,26 @@ def lag_and_correlation(first: Floats, second: Floats, period: float) -> tuple[f
     a, b = first - first.mean(), second - second.mean()
     scale = np.sqrt((a @ a) * (b @ b))
     shifts = np.arange(-reach, reach + 1)
-    values = [
-        (a[: len(a) - s] @ b[s:] if s >= 0 else a[-s:] @ b[: len(b) + s]) / scale for s in shifts
-    ]
+    products = [a[: len(a) - s] @ b[s:] if s >= 0 else a[-s:] @ b[: len(b) + s] for s in shifts]
+    values = products / scale
     best = int(np.argmax(np.abs(values)))
     return float(shifts[best] * period), float(values[best])
 
 
 def tabulate(parameters: ParameterSet, arrays: RunArrays) -> Tables:
     """Summary of the runs, the joints' statistics, and the key moments."""
-    period = parameters.nmpc.control_period
     summary: list[Row] = []
     joints: list[Row] = []
     moments: list[Row] = []
-    for sea in SEAS:
-        for name in controllers():
-            loop = ClosedLoop(**arrays[f"{sea}-{name}"])
-            labels: Row = {"sea": sea, "controller": name}
-            period_of_peak = {"peak_period": parameters.sea.peak_period}
-            summary.append({**labels, **period_of_peak, **_summary_row(loop)})
-            joints.extend({**labels, **row} for row in _joint_rows(loop, period))
-        shown = ClosedLoop(**arrays[f"{sea}-{others()[0]}"])
-        moments.extend(
-            {"sea": sea, "start": start, "end": end}
-            for start, end in key_moments(shown.time, shown.wave_torque)
-        )
+    for sea, name in product(SEAS, controllers()):
+        loop = ClosedLoop(**arrays[f"{sea}-{name}"])
+        labels: Row = {"sea": sea, "controller": name}
+        peak = {"peak_period": parameters.sea.peak_period}
+        summary.append({**labels, **peak, **_summary_row(loop)})
+        joints += [{**labels, **row} for row in _joint_rows(loop, parameters.nmpc.control_period)]
+        if name == others()[0]:
+            key = key_moments(loop.time, loop.wave_torque)
+            moments += [{"sea": sea, "start": start, "end": end} for start, end in key]
     return {
         "example_case": pd.DataFrame(summary),
         "joints": pd.DataFrame(joints),
@@ -130,22 +120,18 @@ def _summary_row(loop: ClosedLoop) -> Row:
     }
 
 
-def _joint_rows(loop: ClosedLoop, period: float) -> list[Row]:
+def _joint_rows(loop: ClosedLoop, period: float) -> Iterator[Row]:
     settled = loop.time[:-1] >= TRANSIENT
-    rows: list[Row] = []
-    for segment in range(loop.torque.shape[1]):
-        wave, torque = loop.wave_torque[settled, segment], loop.torque[settled, segment]
+    pairs = zip(loop.wave_torque[settled].T, loop.torque[settled].T, strict=True)
+    for segment, (wave, torque) in enumerate(pairs, start=1):
         lag, correlation = lag_and_correlation(wave, torque, period)
-        rows.append(
-            {
-                "segment": segment + 1,
-                "wave_torque_rms": root_mean_square_error(wave),
-                "torque_rms": root_mean_square_error(torque),
-                "torque_lag": lag,
-                "torque_correlation": correlation,
-            }
-        )
-    return rows
+        yield {
+            "segment": segment,
+            "wave_torque_rms": root_mean_square_error(wave),
+            "torque_rms": root_mean_square_error(torque),
+            "torque_lag": lag,
+            "torque_correlation": correlation,
+        }
 
 
 EXPERIMENT = Experiment(
@@ -154,5 +140,4 @@ EXPERIMENT = Experiment(
     claims=("C24", "C25", "C26", "C27", "C28", "C29"),
     runs=runs,
     tabulate=tabulate,
-    prepare=prepare,
 )

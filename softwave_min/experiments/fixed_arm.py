@@ -13,12 +13,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from softwave_min.experiments.closed_loop import prepare
 from softwave_min.experiments.fixed_arm_loads import FixedArm, fixed_arm_loads
 from softwave_min.experiments.places import Place, in_sea, realisations
 from softwave_min.paper.cases import poses, wave_cases
 from softwave_min.parameters import ParameterSet
-from softwave_min.runs.experiment import Arrays, Experiment, Run, RunArrays, Tables
+from softwave_min.runs.experiment import Experiment, Run, RunArrays, Tables
 from softwave_min.waves import wave_number
 
 Row = dict[str, float | int | str]
@@ -44,47 +43,39 @@ def runs(parameters: ParameterSet) -> Sequence[Run]:
 
 
 def tabulate(parameters: ParameterSet, arrays: RunArrays) -> Tables:
-    """Tables ``postures`` and ``depth``."""
-    fixed = [
-        (Place(wave, pose, run.parameters.parameters), number, run.parameters, arrays[run.name])
-        for wave, run in seas(parameters)
-        for number, pose in enumerate(poses())
-    ]
-    return {
-        "postures": pd.DataFrame([_posture_row(*one) for one in fixed]),
-        "depth": pd.DataFrame([row for one in fixed for row in _depth_rows(*one)]),
-    }
+    """The loads on the arm in each posture, and at each depth.
 
-
-def _posture_row(place: Place, number: int, fixed: FixedArm, data: Arrays) -> Row:
-    """Loads on the arm in one posture (C41).
-
-    ``curvature`` and ``torque`` as `curvature` and `torque_columns` have them;
-    ``torque_uniform``: without the variation of the flow along the arm, in N m.
+    ``postures`` (C41): `curvature` and `torque_columns`; ``torque_uniform``: without the
+    variation of the flow along the arm, in N m. ``depth`` (C42, C43): loads at every depth
+    ``z`` of the base, in m, beside linear theory's decay; ``speed`` of the water at the base,
+    in m/s; ``decay``: exp(k (z - z_0)) for the wave number k of the peak and the operating
+    depth z_0.
     """
-    return {
-        **place.labels,
-        "curvature": curvature(data["angles"][number], fixed.parameters),
-        **torque_columns(data["torque"][number, fixed.rises.index(0.0)]),
-        "torque_uniform": float(np.linalg.norm(data["torque_uniform"][number])),
-    }
-
-
-def _depth_rows(place: Place, number: int, fixed: FixedArm, data: Arrays) -> Iterator[Row]:
-    """Loads at every depth ``z`` of the base, in m, beside linear theory's decay (C42, C43).
-
-    ``speed`` of the water at the base, in m/s; ``decay``: exp(k (z - z_0)) for the wave
-    number k of the peak and the operating depth z_0.
-    """
-    k = peak_wave_number(fixed.parameters)
-    for level, rise in enumerate(fixed.rises):
-        yield {
-            **place.labels,
-            "z": round(fixed.parameters.arm.base_position[1] + rise, 6),
-            **torque_columns(data["torque"][number, level]),
-            "speed": float(data["speed"][level]),
-            "decay": float(np.exp(k * rise)),
-        }
+    postures, depth = [], []
+    for wave, run in seas(parameters):
+        fixed, data = run.parameters, arrays[run.name]
+        operating, k = fixed.rises.index(0.0), peak_wave_number(fixed.parameters)
+        for number, pose in enumerate(poses()):
+            labels, torque = Place(wave, pose, fixed.parameters).labels, data["torque"][number]
+            postures.append(
+                {
+                    **labels,
+                    "curvature": curvature(data["angles"][number], fixed.parameters),
+                    **torque_columns(torque[operating]),
+                    "torque_uniform": float(np.linalg.norm(data["torque_uniform"][number])),
+                }
+            )
+            depth += [
+                {
+                    **labels,
+                    "z": round(fixed.parameters.arm.base_position[1] + rise, 6),
+                    **torque_columns(torque[level]),
+                    "speed": float(data["speed"][level]),
+                    "decay": float(np.exp(k * rise)),
+                }
+                for level, rise in enumerate(fixed.rises)
+            ]
+    return {"postures": pd.DataFrame(postures), "depth": pd.DataFrame(depth)}
 
 
 def curvature(posture: NDArray[np.float64], parameters: ParameterSet) -> float:
@@ -113,5 +104,4 @@ EXPERIMENT = Experiment(
     claims=("C41", "C42", "C43"),
     runs=runs,
     tabulate=tabulate,
-    prepare=prepare,
 )

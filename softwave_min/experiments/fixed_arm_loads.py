@@ -33,24 +33,24 @@ class FixedArm:
 
 
 def fixed_arm_loads(run: FixedArm) -> dict[str, NDArray[Any]]:
-    """Loads of the water on the fixed arm, sampled over the whole run.
+    """Loads of the water on the fixed arm, for P targets and Z rises, over the whole run.
 
-    Returns
-    -------
-    dict of ndarray
-        ``angles`` (P, n): the postures, in rad. ``torque`` (P, Z, n): root mean square of
-        the generalised load, in N m. ``torque_uniform`` (P, n): the same at the operating
-        depth if the whole arm met the flow at its base. ``speed`` (Z,): root mean square
-        of the water's speed at the base, in m/s. P targets, Z rises.
+    ``angles`` (P, n): the postures, in rad. ``torque`` (P, Z, n): root mean square of the
+    generalised load, in N m. ``torque_uniform`` (P, n): the same at the operating depth if
+    the whole arm met the flow at its base. ``speed`` (Z,): root mean square of the water's
+    speed at the base, in m/s.
     """
     parameters = run.parameters
     sea = Sea.random(parameters.sea, parameters.fluid.gravity)
     angles = np.array([_planned_posture(parameters, target) for target in run.targets])
-    arms = [_raised(parameters, rise) for rise in run.rises]
-    flows = [_sampled_flow(parameters, arm, sea) for arm in arms]
-    places = list(zip(arms, flows, strict=True))
+    places = []
+    for rise in run.rises:
+        arm = _raised(parameters, rise)
+        places.append((arm, _sampled_flow(parameters, arm, sea)))
     arm, flow = places[run.rises.index(0.0)]
-    uniform = _uniform(arm, flow)
+    uniform = _coefficients(arm, flow).copy()
+    uniform[:, :, 1:] = 0  # no variation in space: only the constant of the expansion
+    uniform = uniform.reshape(flow.shape)
     return {
         "angles": angles,
         "torque": np.array([[_torque(*place, posture) for place in places] for posture in angles]),
@@ -61,8 +61,7 @@ def fixed_arm_loads(run: FixedArm) -> dict[str, NDArray[Any]]:
 
 def rms(series: Floats) -> Floats:
     """Root mean square of every column."""
-    level: Floats = np.sqrt(np.mean(series**2, axis=0))
-    return level
+    return np.asarray(np.sqrt(np.mean(series**2, axis=0)))
 
 
 def _planned_posture(parameters: ParameterSet, target: Point) -> Floats:
@@ -70,8 +69,7 @@ def _planned_posture(parameters: ParameterSet, target: Point) -> Floats:
     period, duration = parameters.nmpc.control_period, parameters.simulation.duration
     planner = KinematicPlanner(_raised(parameters, 0.0), parameters.baseline, period)
     path = np.tile(target, (round(duration / period), 1))
-    posture: Floats = planner.path(np.zeros(parameters.arm.segments), path)[-1]
-    return posture
+    return np.asarray(planner.path(np.zeros(parameters.arm.segments), path)[-1])
 
 
 def _raised(parameters: ParameterSet, rise: float) -> Arm:
@@ -82,12 +80,8 @@ def _raised(parameters: ParameterSet, rise: float) -> Arm:
 def _sampled_flow(parameters: ParameterSet, arm: Arm, sea: Sea) -> Floats:
     """Packed flow about the arm at instants ``SAMPLING`` apart, (T, F)."""
     times = np.arange(0.0, parameters.simulation.duration, SAMPLING)
-    structure = arm.structure
-    return pack_flow(
-        sea.taylor_velocity(
-            arm.parameters.base_position, times, structure.space_order, structure.time_order
-        )
-    )
+    orders = arm.structure.space_order, arm.structure.time_order
+    return pack_flow(sea.taylor_velocity(arm.parameters.base_position, times, *orders))
 
 
 def _torque(arm: Arm, flow: Floats, posture: Floats) -> Floats:
@@ -99,13 +93,6 @@ def _coefficients(arm: Arm, flow: Floats) -> Floats:
     """The flow unpacked: instant, real and imaginary part, power in space, power in time."""
     orders = arm.structure.space_order + 1, arm.structure.time_order + 1
     return flow.reshape(len(flow), 2, *orders)
-
-
-def _uniform(arm: Arm, flow: Floats) -> Floats:
-    """The flow without its variation in space: only the constant of its expansion."""
-    coefficients = _coefficients(arm, flow).copy()
-    coefficients[:, :, 1:] = 0
-    return coefficients.reshape(flow.shape)
 
 
 def _speed_at_base(arm: Arm, flow: Floats) -> float:

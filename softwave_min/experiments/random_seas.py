@@ -7,13 +7,13 @@ noise differs as well.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import pandas as pd
 
 from softwave_min.experiments import actuator_failure, error_ratio, star
-from softwave_min.experiments.closed_loop import LoopRun, errors_alone, prepare
+from softwave_min.experiments.closed_loop import LoopRun, errors_alone
 from softwave_min.experiments.failures import INTACT, PAPERS_CASE
 from softwave_min.experiments.places import at_least
 from softwave_min.parameters import ParameterSet
@@ -24,23 +24,19 @@ SEEDS = 20
 CASES = (INTACT, PAPERS_CASE)
 
 
-def _named(parameters: ParameterSet) -> Iterator[tuple[str, Run]]:
-    """What the tables are made of, by the names that their makers know."""
-    for run in error_ratio.runs(parameters):
-        yield run.name, run
-    for place in actuator_failure.places(parameters):
-        for case in CASES:
-            run = actuator_failure.run_at(place, case)
-            yield run.name, run
-    for run in star.runs(parameters):
-        yield f"star-{run.name}", run
-
-
 def _distinct(parameters: ParameterSet) -> tuple[list[Run], dict[str, str]]:
-    """The runs, each once, and the name of the run for each name of a closed loop."""
+    """The runs, each once, and the name of the run for each name that the tables' makers know."""
+    many = at_least(parameters, SEEDS)
+    failed = [
+        actuator_failure.run_at(place, case)
+        for place in actuator_failure.places(many)
+        for case in CASES
+    ]
+    named = [(run.name, run) for run in (*error_ratio.runs(many), *failed)]
+    named += [(f"star-{run.name}", run) for run in star.runs(many)]
     by_parameters: dict[Any, Run] = {}
     aliases: dict[str, str] = {}
-    for name, run in _named(at_least(parameters, SEEDS)):
+    for name, run in named:
         compute = errors_alone if isinstance(run.parameters, LoopRun) else run.compute
         kept = by_parameters.setdefault(run.parameters, Run(name, compute, run.parameters))
         aliases[name] = kept.name
@@ -77,10 +73,8 @@ def tabulate(parameters: ParameterSet, arrays: RunArrays) -> Tables:
 def _places(grid: pd.DataFrame) -> pd.DataFrame:
     """In how many seas the largest and the smallest reduction occur at each pose."""
     found = error_ratio.extremes(grid)
-    counts = found.groupby(
-        ["wave", "controller", "extreme", "pose", "paper_pose"], sort=False
-    ).size()
-    table = counts.rename("seas").reset_index()
+    keys = ["wave", "controller", "extreme", "pose", "paper_pose"]
+    table = found.groupby(keys, sort=False).size().reset_index(name="seas")
     table["share"] = table["seas"] / grid["seed"].nunique()
     return table
 
@@ -91,6 +85,5 @@ EXPERIMENT = Experiment(
     claims=(),
     runs=runs,
     tabulate=tabulate,
-    prepare=prepare,
     on_request=True,
 )

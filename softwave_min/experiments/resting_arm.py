@@ -9,20 +9,12 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+import scipy  # whose parts are loaded when they are used
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import RectBivariateSpline
-from scipy.ndimage import binary_erosion
-from scipy.optimize import least_squares
-from scipy.stats import qmc
 
 from softwave_min.arm import Arm, Structure, Values, mechanics
 from softwave_min.experiments.closed_loop import LoopRun, closed_loops
-from softwave_min.parameters import (
-    ArmParameters,
-    FailureParameters,
-    FluidParameters,
-    ParameterSet,
-)
+from softwave_min.parameters import ArmParameters, FailureParameters, FluidParameters, ParameterSet
 
 Floats = NDArray[np.float64]
 Booleans = NDArray[np.bool_]
@@ -62,17 +54,8 @@ class RestingArm:
 
     A working segment stands where it is told to. A locked one stays straight. A passive
     one hangs: no torque acts on it but those of its stiffness and of weight and
-    buoyancy, so that G_f(q) + k_f q_f = 0, its row of the equations of motion.
-
-    Parameters
-    ----------
-    arm : Arm
-    failure : FailureParameters
-
-    Raises
-    ------
-    ValueError
-        If a passive segment has no stiffness: nothing then says how it hangs.
+    buoyancy, so that G_f(q) + k_f q_f = 0, its row of the equations of motion. One without
+    stiffness is a ValueError: nothing then says how it hangs.
     """
 
     def __init__(self, arm: Arm, failure: FailureParameters) -> None:
@@ -143,15 +126,8 @@ def nearest_posture(
 ) -> tuple[Floats, float]:
     """Posture at rest whose tip is closest to a target, by bounded least squares.
 
-    Parameters
-    ----------
-    resting : RestingArm
-    bound : float
-        On every actuated angle, in rad.
-    target : array_like, (2,)
-        In m.
-    starts : ndarray, (S, m)
-        Actuated angles to start from, in rad, until one reaches the target.
+    ``bound`` on every actuated angle in rad, ``target`` (2,) in m, ``starts`` (S, m): actuated
+    angles in rad to start from, until one reaches the target.
 
     Returns
     -------
@@ -162,12 +138,11 @@ def nearest_posture(
     """
 
     def offset(angles: Floats) -> Floats:
-        left: Floats = resting.tips(angles) - np.asarray(target)
-        return left
+        return np.asarray(resting.tips(angles) - np.asarray(target))
 
     best, closest = starts[0], np.inf
     for start in starts:
-        fit = least_squares(
+        fit = scipy.optimize.least_squares(
             offset,
             start,
             jac=resting.jacobian,
@@ -192,22 +167,17 @@ def _grid_of_angles(count: int, angles: int, bound: float) -> Floats:
 
 def _spread_angles(count: int, angles: int, bound: float) -> Floats:
     """Evenly spread choices of many angles, (count, angles) in rad: Halton's sequence."""
-    return bound * (2 * qmc.Halton(angles, scramble=False).random(count) - 1)
+    return bound * (2 * scipy.stats.qmc.Halton(angles, scramble=False).random(count) - 1)
 
 
 def workspace(resting: RestingArm, bound: float, cell: float = CELL) -> Booleans:
-    """Map of the places that the tip can be at rest.
+    """Map of the places that the tip can be at rest, (N, N).
 
-    The plane is cut into square cells about the base; a cell is True where the tip of
-    one of a dense set of postures falls into it. Neighbours in that set are less than
-    a cell apart. Where a segment hangs and more than two angles are actuated, the set is
-    dense in the last two of them alone, and the map lacks a little of its rim.
-
-    Returns
-    -------
-    ndarray of bool, (N, N)
-        Entry (i, j): the cell with its lower left corner at
-        base + cell (i - N/2, j - N/2).
+    The plane is cut into square cells about the base, that of (i, j) with its lower left
+    corner at base + cell (i - N/2, j - N/2); it is True where the tip of one of a dense set
+    of postures falls into it. Neighbours in that set are less than a cell apart. Where a
+    segment hangs and more than two angles are actuated, the set is dense in the last two of
+    them alone, and the map lacks a little of its rim.
     """
     reach = sum(resting.arm.parameters.length)
     half = int(np.ceil(reach / cell)) + 1
@@ -249,7 +219,12 @@ def _last_two(resting: RestingArm, leading: Floats, dense: Floats, count: int = 
     angles = np.hstack([np.tile(leading, (len(last_two), 1)), last_two])
     on_grid = resting.tips(angles).reshape(count, count, 2)
     return np.stack(
-        [RectBivariateSpline(nodes, nodes, on_grid[..., i])(dense, dense).ravel() for i in (0, 1)],
+        [
+            scipy.interpolate.RectBivariateSpline(nodes, nodes, on_grid[..., i])(
+                dense, dense
+            ).ravel()
+            for i in (0, 1)
+        ],
         axis=-1,
     )
 
@@ -268,35 +243,26 @@ def area(cells: Booleans, cell: float = CELL) -> tuple[float, float]:
 
     Cells on the rim count half: the rim may pass anywhere through them.
     """
-    inner = np.count_nonzero(binary_erosion(cells))
+    inner = np.count_nonzero(scipy.ndimage.binary_erosion(cells))
     rim = np.count_nonzero(cells) - inner
     return float((inner + rim / 2) * cell**2), float(rim / 2 * cell**2)
 
 
 def reach(question: Reach) -> dict[str, NDArray[Any]]:
-    """Distance left to each target and the map of the workspace.
-
-    Returns
-    -------
-    dict of ndarray
-        ``distance`` (P,) in m; ``posture`` (P, n) in rad; ``workspace`` (N, N).
-    """
+    """``distance`` (P,) left to each target, in m; ``posture`` (P, n) in rad; ``workspace``."""
     resting = RestingArm(Arm(question.arm, question.fluid), question.failure)
     bound, m = question.angle_bound, len(resting.actuated)
     grid = _grid_of_angles(NODES[m], m, bound) if m in NODES else _spread_angles(SAMPLES, m, bound)
     tips = resting.tips(grid)
-    answers = [
-        nearest_posture(
-            resting,
-            bound,
-            target,
-            grid[np.argsort(np.linalg.norm(tips - np.asarray(target), axis=1))[:STARTS]],
-        )
-        for target in question.targets
-    ]
+    postures, distances = [], []
+    for target in question.targets:
+        nearest = np.argsort(np.linalg.norm(tips - np.asarray(target), axis=1))[:STARTS]
+        posture, distance = nearest_posture(resting, bound, target, grid[nearest])
+        postures.append(posture)
+        distances.append(distance)
     return {
-        "posture": np.array([posture for posture, _ in answers]),
-        "distance": np.array([distance for _, distance in answers]),
+        "posture": np.array(postures),
+        "distance": np.array(distances),
         "workspace": workspace(resting, bound),
     }
 
@@ -310,13 +276,9 @@ class RestRun:
 
 
 def at_rest(run: RestRun) -> dict[str, NDArray[Any]]:
-    """Where the NMPC ends for each target.
+    """Where the NMPC ends for each target: ``q`` (P, n) in rad and ``error`` (P,) in m.
 
-    Returns
-    -------
-    dict of ndarray
-        ``q`` (P, n) in rad, ``error`` (P,) in m, at the end of the run; ``status`` and
-        ``source`` (P, T).
+    Beside them ``status`` and ``source`` (P, T) of all of the run.
     """
     loops = [closed_loops(LoopRun(run.parameters, (target,), ("nmpc",))) for target in run.targets]
     return {

@@ -7,20 +7,17 @@ says which posture it ends in.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 
-from softwave_min.experiments.closed_loop import prepare
 from softwave_min.experiments.failures import INTACT, failure_cases
 from softwave_min.experiments.resting_arm import REACHED, Reach, RestRun, area, at_rest, reach
 from softwave_min.paper.cases import poses
 from softwave_min.parameters import ParameterSet
 from softwave_min.runs.experiment import Experiment, Run, RunArrays, Tables, Tolerance
-
-Row = Mapping[str, float | int | str | bool]
 
 REST = 15.0
 """Seconds in still water after which the NMPC's posture is taken."""
@@ -37,8 +34,7 @@ def runs(parameters: ParameterSet) -> Sequence[Run]:
     found: list[Run] = []
     for name, case in failure_cases(parameters).items():
         failed = case.of(still)
-        bound = failed.nmpc.angle_bound
-        question = Reach(failed.arm, failed.fluid, failed.failure, bound, targets)
+        question = Reach(failed.arm, failed.fluid, failed.failure, failed.nmpc.angle_bound, targets)
         found += [
             Run(f"rest-{name}", at_rest, RestRun(failed, targets)),
             Run(f"reach-{name}", reach, question),
@@ -52,7 +48,7 @@ def tabulate(parameters: ParameterSet, arrays: RunArrays) -> Tables:
     areas = {name: area(arrays[f"reach-{name}"]["workspace"]) for name in cases}
     whole = areas[INTACT][0]
     return {
-        "setpoints": pd.DataFrame([row for name in cases for row in _pose_rows(name, arrays)]),
+        "setpoints": pd.concat([_poses_of(name, arrays) for name in cases], ignore_index=True),
         "workspace": pd.DataFrame(
             {"case": name, "area": size, "resolution": error, "share": size / whole}
             for name, (size, error) in areas.items()
@@ -60,21 +56,21 @@ def tabulate(parameters: ParameterSet, arrays: RunArrays) -> Tables:
     }
 
 
-def _pose_rows(name: str, arrays: RunArrays) -> Iterator[Row]:
-    allowed, rest = arrays[f"reach-{name}"], arrays[f"rest-{name}"]
-    for index, pose in enumerate(poses()):
-        distance = float(allowed["distance"][index])
-        angles = {f"q{i + 1}": float(angle) for i, angle in enumerate(rest["q"][index])}
-        yield {
-            "case": name,
-            "pose": pose,
+def _poses_of(case: str, arrays: RunArrays) -> pd.DataFrame:
+    allowed, rest = arrays[f"reach-{case}"], arrays[f"rest-{case}"]
+    angles = {f"q{number}": angle for number, angle in enumerate(rest["q"].T, start=1)}
+    return pd.DataFrame(
+        {
+            "case": case,
+            "pose": list(poses()),
             **angles,
-            "error": float(rest["error"][index]),
-            "distance_left": distance,
-            "reachable": distance < REACHED,
-            "solves_failed": int(np.count_nonzero(rest["status"][index] > 0)),
-            "fallbacks": int(np.count_nonzero(rest["source"][index])),
+            "error": rest["error"],
+            "distance_left": allowed["distance"],
+            "reachable": allowed["distance"] < REACHED,
+            "solves_failed": np.count_nonzero(rest["status"] > 0, axis=1),
+            "fallbacks": np.count_nonzero(rest["source"], axis=1),
         }
+    )
 
 
 EXPERIMENT = Experiment(
@@ -83,7 +79,6 @@ EXPERIMENT = Experiment(
     claims=("C15", "C16", "C17", "C18", "C19", "C20", "C44", "C45", "C46", "C47", "C70"),
     runs=runs,
     tabulate=tabulate,
-    prepare=prepare,
     tolerances={
         # A cell of the map more or less, as rounding decides.
         "area": Tolerance(absolute=2e-3),

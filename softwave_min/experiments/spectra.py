@@ -7,7 +7,7 @@ differ in their random phases alone, and their spread stands beside every estima
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,10 +15,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from softwave_min.experiments.places import in_sea
 from softwave_min.paper.cases import WaveCase, wave_cases
 from softwave_min.paper.numbers import spectra
 from softwave_min.parameters import ParameterSet, SeaParameters
-from softwave_min.runs.experiment import Experiment, Run, RunArrays, Tables
+from softwave_min.runs.experiment import Arrays, Experiment, Run, RunArrays, Tables
 from softwave_min.waves.field import Sea
 from softwave_min.waves.spectrum import Spectrum, jonswap_density, periodogram
 
@@ -31,7 +32,7 @@ CURVE_STEP_HZ = 0.0002
 RANGE = (2.5, 97.5)
 """Percentiles of the estimates that bound their 95 % range."""
 
-QUANTITIES = (("significant_height", "m"), ("peak_period", "s"))
+QUANTITIES = {"significant_height": "m", "peak_period": "s"}
 
 
 @dataclass(frozen=True)
@@ -50,23 +51,11 @@ class SeaRecord:
 
 def runs(parameters: ParameterSet) -> list[Run]:
     """One run per wave case."""
-    chosen = spectra()
+    chosen, gravity = spectra(), parameters.fluid.gravity
+    seas = {name: in_sea(parameters, name, chosen.significant_height).sea for name in wave_cases()}
     return [
-        Run(
-            case.name,
-            compute,
-            SeaRecord(
-                case,
-                replace(
-                    parameters.sea,
-                    peak_period=case.peak_period,
-                    significant_height=chosen.significant_height,
-                ),
-                parameters.fluid.gravity,
-                chosen.window,
-            ),
-        )
-        for case in wave_cases().values()
+        Run(name, compute, SeaRecord(case, seas[name], gravity, chosen.window))
+        for name, case in wave_cases().items()
     ]
 
 
@@ -83,48 +72,40 @@ def compute(record: SeaRecord) -> dict[str, NDArray[Any]]:
     """
     sea = record.sea
     frequency_hz = np.arange(0.0, CURVE_END_HZ + CURVE_STEP_HZ / 2, CURVE_STEP_HZ)
-    curve = Spectrum(
-        frequency_hz,
-        jonswap_density(
-            frequency_hz, sea.significant_height, sea.peak_period, sea.peak_enhancement
-        ),
+    density = jonswap_density(
+        frequency_hz, sea.significant_height, sea.peak_period, sea.peak_enhancement
     )
     time = np.linspace(0.0, record.window, round(record.window / INTERVAL) + 1)
 
     def elevation(seed: int) -> NDArray[np.float64]:
         return Sea.random(replace(sea, seed=seed), record.gravity).elevation(0.0, time)
 
+    def spectrum(seed: int) -> Spectrum:
+        # N steps make a record of N samples: the last belongs to the next one
+        return periodogram(elevation(seed)[:-1], time[1] - time[0])
+
     found = {
-        "curve": [curve],
-        "record": [_record_spectrum(elevation(sea.seed), time)],
-        "sample": [_record_spectrum(elevation(seed), time) for seed in range(RECORDS)],
+        "curve": [Spectrum(frequency_hz, density)],
+        "record": [spectrum(sea.seed)],
+        "sample": [spectrum(seed) for seed in range(RECORDS)],
     }
     estimates = {
-        f"{source}_{quantity}": np.array([getattr(spectrum, quantity) for spectrum in estimated])
+        f"{source}_{quantity}": np.array([getattr(one, quantity) for one in estimated])
         for source, estimated in found.items()
-        for quantity, _ in QUANTITIES
+        for quantity in QUANTITIES
     }
     return {
-        "frequency_hz": curve.frequency_hz,
-        "density": curve.density,
+        "frequency_hz": frequency_hz,
+        "density": density,
         "time": time,
         "elevation": elevation(sea.seed),
         **estimates,
     }
 
 
-def _record_spectrum(elevation: NDArray[np.float64], time: NDArray[np.float64]) -> Spectrum:
-    # N steps make a record of N samples: the last belongs to the next one
-    return periodogram(elevation[:-1], time[1] - time[0])
-
-
-def tabulate(
-    parameters: ParameterSet,  # noqa: ARG001
-    arrays: RunArrays,
-) -> Tables:
+def tabulate(_: ParameterSet, arrays: RunArrays) -> Tables:
     """Tables ``wave_cases`` (the paper's) and ``spectra`` (paper, curve and record)."""
-    cases = wave_cases().values()
-    height = spectra().significant_height
+    cases, height = wave_cases().values(), spectra().significant_height
     table = pd.DataFrame(
         {
             "case": case.name,
@@ -137,31 +118,25 @@ def tabulate(
     return {"wave_cases": table, "spectra": pd.DataFrame(rows)}
 
 
-def _recovered(
-    case: WaveCase, height: float, found: Mapping[str, NDArray[Any]]
-) -> list[dict[str, Any]]:
+def _recovered(case: WaveCase, height: float, found: Arrays) -> Iterator[dict[str, Any]]:
     """One row per quantity, with the sampling error of the record's estimate."""
-    rows = []
-    for quantity, unit in QUANTITIES:
-        sample = found[f"sample_{quantity}"]
+    papers = {"significant_height": height, "peak_period": case.peak_period}
+    for quantity, unit in QUANTITIES.items():
+        sample, paper = found[f"sample_{quantity}"], papers[quantity]
         low, high = np.percentile(sample, RANGE)
         estimate = float(found[f"record_{quantity}"][0])
-        paper = height if quantity == "significant_height" else case.peak_period
-        rows.append(
-            {
-                "case": case.name,
-                "quantity": quantity,
-                "unit": unit,
-                "paper": paper,
-                "curve": float(found[f"curve_{quantity}"][0]),
-                "record": estimate,
-                "sampling_error": float(sample.std(ddof=1)),
-                "range_low": low,
-                "range_high": high,
-                "within": bool(low <= estimate <= high and low <= paper <= high),
-            }
-        )
-    return rows
+        yield {
+            "case": case.name,
+            "quantity": quantity,
+            "unit": unit,
+            "paper": paper,
+            "curve": float(found[f"curve_{quantity}"][0]),
+            "record": estimate,
+            "sampling_error": float(sample.std(ddof=1)),
+            "range_low": low,
+            "range_high": high,
+            "within": bool(low <= estimate <= high and low <= paper <= high),
+        }
 
 
 EXPERIMENT = Experiment(

@@ -7,15 +7,15 @@ has other stars.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from itertools import product
 
 import numpy as np
 import pandas as pd
 from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass as validated
 
-from softwave_min.experiments.closed_loop import failed_solves, fallbacks, others, prepare
+from softwave_min.experiments.closed_loop import failed_solves, fallbacks, others
 from softwave_min.experiments.places import in_sea, realisations
 from softwave_min.experiments.star_loops import (
     METRICS,
@@ -34,8 +34,6 @@ from softwave_min.parameters import ParameterSet, Positive, load_data
 from softwave_min.runs.experiment import Experiment, Run, RunArrays, Tables
 from softwave_min.runs.statistics import interval
 from softwave_min.simulation import CONTROLLERS, root_mean_square_error
-
-Row = Mapping[str, Any]
 
 
 @validated(frozen=True, config=ConfigDict(extra="forbid"))
@@ -58,12 +56,9 @@ def runs(parameters: ParameterSet) -> Sequence[Run]:
     """The star in still water and in every sea in every realisation."""
     chosen = choice()
     first = next(realisations(parameters))
-    calm = StarRun(in_still_water(in_sea(first, chosen.case, 0.0)), chosen.path)
-    seas = [
-        Run(_name(case, one), follow, StarRun(one, chosen.path))
-        for case, one in seas_of(parameters)
-    ]
-    return [Run(STILL, follow, calm), *seas]
+    calm = in_still_water(in_sea(first, chosen.case, 0.0))
+    named = [(STILL, calm), *((_name(*sea), sea[1]) for sea in seas_of(parameters))]
+    return [Run(name, follow, StarRun(one, chosen.path)) for name, one in named]
 
 
 def seas_of(parameters: ParameterSet) -> Iterator[tuple[str, ParameterSet]]:
@@ -117,31 +112,22 @@ def star_table(parameters: ParameterSet, arrays: RunArrays) -> pd.DataFrame:
 def headline(table: pd.DataFrame) -> pd.DataFrame:
     """Median and 5 and 95 % quantiles over the seas, beside the paper's number.
 
-    Parameters
-    ----------
-    table : DataFrame
-        The table ``star``.
-
-    Returns
-    -------
-    DataFrame
-        One row per wave case, controller and measure; ``seas`` counts the realisations.
+    Of the table ``star``: one row per wave case, controller and measure; ``seas`` counts the
+    realisations.
     """
-    rows: list[Row] = []
     waves = table[table.wave != STILL]
-    for (wave, controller), group in waves.groupby(["wave", "controller"], sort=False):
-        rows += [
-            {
-                "wave": wave,
-                "controller": controller,
-                "measure": metric,
-                "seas": len(group),
-                **interval(group[metric]),
-                "paper": group.paper.iloc[0] if metric == "rmse" else None,
-            }
-            for metric in METRICS
-        ]
-    return pd.DataFrame(rows)
+    return pd.DataFrame(
+        {
+            "wave": wave,
+            "controller": controller,
+            "measure": metric,
+            "seas": len(group),
+            **interval(group[metric]),
+            "paper": group.paper.iloc[0] if metric == "rmse" else None,
+        }
+        for (wave, controller), group in waves.groupby(["wave", "controller"], sort=False)
+        for metric in METRICS
+    )
 
 
 def period_spread(table: pd.DataFrame) -> pd.DataFrame:
@@ -150,7 +136,7 @@ def period_spread(table: pd.DataFrame) -> pd.DataFrame:
     (largest - smallest) / mean over the cases, in each sea; median and quantiles over the
     seas, and the paper's own spread. The seas of one seed share their phases.
     """
-    rows: list[Row] = []
+    rows = []
     waves = table[table.wave != STILL]
     for controller, group in waves.groupby("controller", sort=False):
         quoted = group.paper.dropna().unique()
@@ -182,39 +168,35 @@ def _time_scales(parameters: ParameterSet, arrays: RunArrays) -> pd.DataFrame:
     controller brings the error in still water below 1/e of its first value. Loads as root mean
     square of their norm over the segments.
     """
-    chosen, calm = choice(), arrays[STILL]
+    calm, period = arrays[STILL], parameters.nmpc.control_period
     first = next(realisations(parameters))
-    period = parameters.nmpc.control_period
-    rows: list[Row] = []
-    for case in chosen.rmse:
+    rows = []
+    for case, name in product(choice().rmse, others()):
         peak_period = wave_cases()[case].peak_period
-        found = arrays[_name(case, first)]
-        for name in others():
-            inner = inner_loop_time(parameters, calm[f"{name}_q"][-1])
-            closing = closing_time(calm[f"{name}_tip"] - calm[f"{name}_target"], period)
-            drag, fluid, added = (
-                root_mean_square_error(np.linalg.norm(found[f"{name}_{kind}"], axis=1))
-                for kind in ("drag", "fluid_inertia", "added_mass")
+        times = {
+            "control_period": period,
+            "horizon": period * parameters.nmpc.horizon,
+            "inner_loop": inner_loop_time(parameters, calm[f"{name}_q"][-1]),
+            "closing": closing_time(calm[f"{name}_tip"] - calm[f"{name}_target"], period),
+        }
+        loads = {
+            kind: root_mean_square_error(
+                np.linalg.norm(arrays[_name(case, first)][f"{name}_{kind}"], axis=1)
             )
-            rows.append(
-                {
-                    "wave": case,
-                    "controller": name,
-                    "peak_period": peak_period,
-                    "control_period": period,
-                    "horizon": period * parameters.nmpc.horizon,
-                    "inner_loop": inner,
-                    "closing": closing,
-                    "peak_period_over_control_period": peak_period / period,
-                    "peak_period_over_inner_loop": peak_period / inner,
-                    "peak_period_over_closing": peak_period / closing,
-                    "drag": drag,
-                    "fluid_inertia": fluid,
-                    "added_mass": added,
-                    "drag_over_fluid_inertia": drag / fluid,
-                    "drag_over_added_mass": drag / added,
-                }
-            )
+            for kind in ("drag", "fluid_inertia", "added_mass")
+        }
+        rows.append(
+            {"wave": case, "controller": name, "peak_period": peak_period, **times}
+            | {
+                f"peak_period_over_{one}": peak_period / times[one]
+                for one in ("control_period", "inner_loop", "closing")
+            }
+            | loads
+            | {
+                f"drag_over_{kind}": loads["drag"] / loads[kind]
+                for kind in ("fluid_inertia", "added_mass")
+            }
+        )
     return pd.DataFrame(rows)
 
 
@@ -224,5 +206,4 @@ EXPERIMENT = Experiment(
     claims=tuple(f"C{number}" for number in range(61, 70)),
     runs=runs,
     tabulate=tabulate,
-    prepare=prepare,
 )

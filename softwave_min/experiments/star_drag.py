@@ -14,7 +14,6 @@ import pandas as pd
 from softwave_min.experiments.closed_loop import (
     failed_solves,
     fallbacks,
-    prepare,
     settled_error,
     whole_error,
 )
@@ -34,44 +33,36 @@ def loaded(parameters: ParameterSet, load: str) -> ParameterSet:
     return replace(parameters, fluid=fluid)
 
 
-def _cases(parameters: ParameterSet) -> Iterator[tuple[str, str, ParameterSet]]:
-    """Load, wave case, and the parameters with both, for every random sea."""
-    for load in LOADS:
-        for case, one in seas_of(loaded(parameters, load)):
-            yield load, case, one
-
-
-def _name(load: str, case: str, parameters: ParameterSet) -> str:
-    return f"{load.replace(' ', '-')}-{case}-{parameters.sea.seed}"
-
-
 def runs(parameters: ParameterSet) -> Sequence[Run]:
     """The nominal star under NMPC in each sea, under each load."""
     path = choice().path
     return [
-        Run(_name(load, case, one), follow, StarRun(one, path, ("nmpc",)))
-        for load, case, one in _cases(parameters)
+        Run(name, follow, StarRun(one, path, ("nmpc",))) for name, _, _, one in _cases(parameters)
     ]
+
+
+def _cases(parameters: ParameterSet) -> Iterator[tuple[str, str, str, ParameterSet]]:
+    """Name of the run, load, wave case, and the parameters with both, for every random sea."""
+    for load in LOADS:
+        for case, one in seas_of(loaded(parameters, load)):
+            yield f"{load.replace(' ', '-')}-{case}-{one.sea.seed}", load, case, one
 
 
 def tabulate(parameters: ParameterSet, arrays: RunArrays) -> Tables:
     """One row per load, wave case and sea: RMSE in m, over the run and after the start."""
-    period = parameters.nmpc.control_period
-    rows = []
-    for load, case, one in _cases(parameters):
-        found = arrays[_name(load, case, one)]
-        rows.append(
-            {
-                "load": load,
-                "wave": case,
-                "seed": one.sea.seed,
-                "rmse": whole_error(found, "nmpc"),
-                "rmse_settled": settled_error(found, "nmpc", period),
-                "solves_failed": failed_solves(found, "nmpc"),
-                "fallbacks": fallbacks(found, "nmpc"),
-            }
-        )
-    return {"star_drag": pd.DataFrame(rows)}
+    table = pd.DataFrame(
+        {
+            "load": load,
+            "wave": case,
+            "seed": one.sea.seed,
+            "rmse": whole_error(arrays[name], "nmpc"),
+            "rmse_settled": settled_error(arrays[name], "nmpc", one.nmpc.control_period),
+            "solves_failed": failed_solves(arrays[name], "nmpc"),
+            "fallbacks": fallbacks(arrays[name], "nmpc"),
+        }
+        for name, load, case, one in _cases(parameters)
+    )
+    return {"star_drag": table}
 
 
 EXPERIMENT = Experiment(
@@ -80,6 +71,5 @@ EXPERIMENT = Experiment(
     claims=("C69",),
     runs=runs,
     tabulate=tabulate,
-    prepare=prepare,
     on_request=True,
 )

@@ -78,25 +78,15 @@ def in_still_water(parameters: ParameterSet) -> ParameterSet:
 def follow(run: StarRun) -> dict[str, NDArray[Any]]:
     """Simulate each controller; ``time`` and ``<controller>_<field>``.
 
-    Returns
-    -------
-    dict of ndarray
-        The fields are ``error`` (T + 1,) in m; ``tip`` and ``target`` (T + 1, 2) in m; ``q``
-        (T + 1, n) in rad; ``status`` and ``source`` (T,); and the loads of ``_loads``.
+    The fields are ``error`` (T + 1,) in m; ``tip`` and ``target`` (T + 1, 2) in m; ``q``
+    (T + 1, n) in rad; ``status`` and ``source`` (T,); and the loads of ``_loads``.
     """
     scenario = scenario_on_star(run.parameters, run.star)
     found: dict[str, NDArray[Any]] = {"time": scenario.times}
     for controller in run.controllers:
         loop = simulate(scenario, controller)
-        arrays = {
-            "error": loop.error,
-            "tip": loop.tips[:, -1],
-            "target": loop.target,
-            "q": loop.q,
-            "status": loop.status,
-            "source": loop.source,
-            **_loads(scenario, loop),
-        }
+        arrays = {one: getattr(loop, one) for one in ("error", "target", "q", "status", "source")}
+        arrays |= {"tip": loop.tips[:, -1], **_loads(scenario, loop)}
         found |= {f"{controller}_{name}": array for name, array in arrays.items()}
     return found
 
@@ -104,44 +94,34 @@ def follow(run: StarRun) -> dict[str, NDArray[Any]]:
 def _loads(scenario: Scenario, loop: ClosedLoop) -> dict[str, Floats]:
     """Generalised loads on the moving arm by kind, (T, n) in N m.
 
-    Drag; the fluid's acceleration with C_m, as the textbook has it, whatever the plant
-    has; and the added mass on the body's own acceleration.
+    Drag; the fluid's acceleration with C_m, as in the textbook, whatever the plant has; and
+    the added mass on the body's own acceleration.
     """
-    arm, steps = scenario.arm, scenario.steps
+    arm = scenario.arm
     textbook = Arm(arm.parameters, replace(arm.fluid, morison="textbook"))
-    q, qd, flow = loop.q[:-1], loop.qd[:-1], scenario.flow[:steps]
     # a row of the flow is expanded about the middle of its period
-    terms = {
-        name: term.sum(axis=-1)
-        for name, term in arm.load_terms(q, qd, flow, -scenario.period / 2).items()
-    }
-    fluid = textbook.load_terms(q, qd, flow, -scenario.period / 2)["fluid_inertia"].sum(axis=-1)
+    moving = loop.q[:-1], loop.qd[:-1], scenario.flow[: scenario.steps], -scenario.period / 2
+    terms = {name: term.sum(axis=-1) for name, term in arm.load_terms(*moving).items()}
     rate = np.gradient(loop.qd, scenario.period, axis=0)[:-1]
     return {
         "drag": terms["drag_normal"] + terms["drag_tangential"],
-        "fluid_inertia": fluid,
-        "added_mass": np.einsum("tij,tj->ti", arm.added_inertia(q), rate),
+        "fluid_inertia": textbook.load_terms(*moving)["fluid_inertia"].sum(axis=-1),
+        "added_mass": np.einsum("tij,tj->ti", arm.added_inertia(loop.q[:-1]), rate),
     }
 
 
 def follow_swept(run: SweepRun) -> dict[str, NDArray[Any]]:
-    """Follow a star of the sweep under NMPC.
+    """Follow a star of the sweep under NMPC: ``target``, ``<case>_tip`` and ``<case>_status``.
 
     In still water and in the first of the seas; in the others only if some measure agrees with
-    the paper's number in that one, because no measure can otherwise do so in all.
-
-    Returns
-    -------
-    dict of ndarray
-        ``target`` (T + 1, 2) in m, and ``<case>_tip`` (T + 1, 2), ``<case>_status`` (T,).
+    the paper's number in that one, because no measure can otherwise do so in all. Points are
+    (T + 1, 2) in m.
     """
     first, *others = run.seas
     found = _swept(run, STILL, in_still_water(run.parameters))
     found |= _swept(run, first.case, first.parameters)
-    period = run.parameters.nmpc.control_period
-    values = measures(
-        run.star, found["target"], found[f"{first.case}_tip"], found[f"{STILL}_tip"], period
-    ).values()
+    tips = found["target"], found[f"{first.case}_tip"], found[f"{STILL}_tip"]
+    values = measures(run.star, *tips, run.parameters.nmpc.control_period).values()
     if any(deviation(value, first.paper) <= run.tolerance for value in values):
         for sea in others:
             found |= _swept(run, sea.case, sea.parameters)
@@ -154,11 +134,7 @@ def _swept(run: SweepRun, name: str, parameters: ParameterSet) -> dict[str, NDAr
         loop = simulate(scenario, "nmpc")
     else:
         loop = simulate_with_hold(scenario, hold_reference)
-    return {
-        "target": loop.target,
-        f"{name}_tip": loop.tips[:, -1],
-        f"{name}_status": loop.status,
-    }
+    return {"target": loop.target, f"{name}_tip": loop.tips[:, -1], f"{name}_status": loop.status}
 
 
 # --- measures ---------------------------------------------------------------------------
@@ -193,13 +169,7 @@ def measures(
     - ``root_integral_square``: :math:`\sqrt{\sum e^2 \Delta t}`, in m s^(1/2)
     - ``root_sum_square``: :math:`\sqrt{\sum e^2}`, without the mean
 
-    Parameters
-    ----------
-    star : StarParameters
-    target, tip, calm_tip : ndarray, (N, 2)
-        Desired tip, tip, and tip in still water, in m.
-    period : float
-        Time between two instants, in s.
+    ``target``, ``tip`` and ``calm_tip``, the tip in still water, are (N, 2) in m.
     """
     offset = tip - target
     error = _length(offset)
@@ -220,8 +190,7 @@ def measures(
 
 
 def _length(offset: Floats) -> Floats:
-    length: Floats = np.hypot(offset[:, 0], offset[:, 1])
-    return length
+    return np.asarray(np.hypot(*offset.T))
 
 
 def deviation(value: float, paper: float) -> float:
@@ -244,20 +213,14 @@ def inner_loop_time(parameters: ParameterSet, posture: Floats) -> float:
     """
     arm = Arm(parameters.arm, parameters.fluid)
     n, width = arm.segments, 1e-6
-    slope = np.array(
-        [
-            (arm.gravity_vector(posture + step) - arm.gravity_vector(posture - step)) / (2 * width)
-            for step in width * np.eye(n)
-        ]
-    )
+    slopes = [
+        (arm.gravity_vector(posture + step) - arm.gravity_vector(posture - step)) / (2 * width)
+        for step in width * np.eye(n)
+    ]
     baseline = parameters.baseline
-    stiffness = np.diag(np.add(parameters.arm.stiffness, baseline.proportional_gain)) + slope
+    stiffness = np.diag(np.add(parameters.arm.stiffness, baseline.proportional_gain)) + slopes
     damping = np.diag(np.add(parameters.arm.damping, baseline.derivative_gain))
     inertia = arm.body_inertia(posture) + arm.added_inertia(posture)
-    system = np.block(
-        [
-            [np.zeros((n, n)), np.eye(n)],
-            [-np.linalg.solve(inertia, stiffness), -np.linalg.solve(inertia, damping)],
-        ]
-    )
+    lower = -np.linalg.solve(inertia, np.hstack([stiffness, damping]))
+    system = np.vstack([np.eye(n, 2 * n, n), lower])
     return float(-1 / np.linalg.eigvals(system).real.max())

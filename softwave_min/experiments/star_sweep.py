@@ -6,17 +6,16 @@ measure of the error is set against the paper's three numbers.
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Annotated, Any
 
 import pandas as pd
-from numpy.typing import NDArray
 from pydantic import ConfigDict, Strict
 from pydantic.dataclasses import dataclass as validated
 
-from softwave_min.experiments.closed_loop import failed_solves, prepare
+from softwave_min.experiments.closed_loop import RunData, failed_solves
 from softwave_min.experiments.places import in_sea, realisations
 from softwave_min.experiments.star import Choice, choice
 from softwave_min.experiments.star_loops import (
@@ -32,8 +31,6 @@ from softwave_min.experiments.star_path import Drawing, Manner, StarParameters
 from softwave_min.paper.tolerance import SHARE
 from softwave_min.parameters import Count, ParameterSet, Positive, load_data
 from softwave_min.runs.experiment import Experiment, Run, RunArrays, Tables, Tolerance
-
-Row = Mapping[str, Any]
 
 
 @validated(frozen=True, config=ConfigDict(extra="forbid"))
@@ -69,23 +66,15 @@ def sweep_points() -> list[SweepPoint]:
     """The stars of data/paper/star_sweep.toml; the nominal one is among them."""
     nominal = choice().path
     time = nominal.laps * nominal.lap_duration
-    return [
-        SweepPoint(
-            replace(
-                nominal,
-                outer_radius=radius,
-                drawing=drawing,
-                manner=manner,
-                laps=laps,
-                lap_duration=time / laps,
-            ),
-            previewed,
-        )
-        for grid in load_data(dict[str, tuple[Grid, ...]], "paper/star_sweep.toml")["stars"]
-        for previewed, drawing, manner, laps, radius in itertools.product(
+    found = []
+    for grid in load_data(dict[str, tuple[Grid, ...]], "paper/star_sweep.toml")["stars"]:
+        for previewed, drawing, manner, laps, radius in product(
             grid.previewed, grid.drawing, grid.manner, grid.laps, grid.outer_radius
-        )
-    ]
+        ):
+            star = replace(nominal, outer_radius=radius, drawing=drawing, manner=manner)
+            star = replace(star, laps=laps, lap_duration=time / laps)
+            found.append(SweepPoint(star, previewed))
+    return found
 
 
 def runs(parameters: ParameterSet) -> Sequence[Run]:
@@ -105,13 +94,13 @@ def runs(parameters: ParameterSet) -> Sequence[Run]:
 def tabulate(parameters: ParameterSet, arrays: RunArrays) -> Tables:
     """Table ``star_sweep``: one row per star and measure."""
     chosen, period = choice(), parameters.nmpc.control_period
-    rows = [row for one in sweep_points() for row in _rows(chosen, one, arrays[one.name], period)]
+    rows = (row for one in sweep_points() for row in _rows(chosen, one, arrays[one.name], period))
     return {"star_sweep": pd.DataFrame(rows)}
 
 
 def _rows(
-    chosen: Choice, point: SweepPoint, found: Mapping[str, NDArray[Any]], period: float
-) -> Iterator[Row]:
+    chosen: Choice, point: SweepPoint, found: RunData, period: float
+) -> Iterator[dict[str, Any]]:
     """One row per measure: its value in still water and in each sea that was run.
 
     ``deviation`` is the largest relative one from the paper's numbers; a ``candidate``
@@ -124,11 +113,7 @@ def _rows(
         case: measures(star, found["target"], found[f"{case}_tip"], calm, period) for case in tried
     }
     for metric in METRICS:
-        apart = [
-            deviation(values[case][metric], paper)
-            for case, paper in chosen.rmse.items()
-            if case in tried
-        ]
+        apart = [deviation(values[one][metric], chosen.rmse[one]) for one in tried[1:]]
         yield {
             "outer_radius": star.outer_radius,
             "drawing": star.drawing,
@@ -150,7 +135,6 @@ EXPERIMENT = Experiment(
     claims=(),
     runs=runs,
     tabulate=tabulate,
-    prepare=prepare,
     tolerances={
         # Beyond its reach the arm may settle in either of two postures, as rounding decides.
         column: Tolerance(relative=0.02, absolute=1e-4)

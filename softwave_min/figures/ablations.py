@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.axis import Axis
-from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullLocator
 
 from softwave_min.experiments.ablation_loops import BASELINE, NMPC
 from softwave_min.experiments.closed_loop import TRANSIENT
-from softwave_min.figures.marks import failure_sentence
+from softwave_min.figures.marks import beside, failure_sentence, name_groups
 from softwave_min.figures.style import DASHES, GREY, INK, ORANGE, SERIES, SKY, Drawing
 from softwave_min.parameters import ParameterSet
 from softwave_min.runs.store import Store
@@ -63,21 +61,17 @@ def _plain(axis: Axis, *digits: int) -> None:
 def _forest(summary: pd.DataFrame, failures: str) -> Drawing:
     first = summary.iloc[0]
     rows = summary[summary["group"].isin(GROUPS)]
-    names = [
-        name for group in GROUPS for name in dict.fromkeys(rows[rows["group"] == group]["variant"])
-    ]
-    labels = summary.drop_duplicates("variant").set_index("variant")
-    figure = Figure(figsize=(7.0, 6.0))
-    panels: Sequence[Axes] = figure.subplots(1, 2, sharey=True)
+    rows = rows.sort_values("group", key=lambda one: one.map(list(GROUPS).index), kind="stable")
+    figure, panels = plt.subplots(1, 2, sharey=True, figsize=(7.0, 6.0))
     for axes, (window, title) in zip(panels, TITLES.items(), strict=True):
-        part = rows[rows["window"] == window].set_index("variant").loc[names]
+        part = rows[rows["window"] == window].set_index("variant")
         at = -np.arange(len(part))
         axes.axvline(1.0, color=GREY, linestyle="-", linewidth=0.8)
         axes.hlines(at, part["ratio_low"], part["ratio_high"], color=SKY, linewidth=5)
         axes.plot(part["ratio"], at, "s", color=INK, markersize=4, linestyle="")
         axes.set(xscale="log", title=title, xlabel="error over that of the nominal loop")
         _plain(axes.xaxis, 1, 3)
-        axes.set_yticks(at, [GROUPS[labels.group[name]] + labels.label[name] for name in names])
+        axes.set_yticks(at, part["group"].map(GROUPS) + part["label"])
     settled = rows[rows["window"] == "settled"].set_index("variant")["ratio"]
     return Drawing(
         figure,
@@ -88,7 +82,7 @@ def _forest(summary: pd.DataFrame, failures: str) -> Drawing:
             f"{failures}"
         ),
         alt=(
-            f"Two panels with {len(names)} rows, each a square and a bar on a logarithmic scale. "
+            f"Two panels with {len(part)} rows, each a square and a bar on a logarithmic scale. "
             "After the start the medians run from "
             f"{settled.min():.2g} ({settled.idxmin()}) to {settled.max():.2g} ({settled.idxmax()})."
         ),
@@ -101,24 +95,15 @@ def _curves(waves: pd.DataFrame, parameters: ParameterSet, failures: str) -> Dra
         "horizon": ("(a) horizon", "horizon, s", {parameters.nmpc.horizon * period: NMPC}),
         "preview_late": ("(b) late forecast", "delay, s", {0.0: NMPC}),
     }
-    figure = Figure(figsize=(7.0, 3.0))
-    panels: Sequence[Axes] = figure.subplots(1, 2)
+    figure, panels = plt.subplots(1, 2, figsize=(7.0, 3.0))
     settled = waves[waves["window"] == "settled"]
     for axes, (stem, (title, label, nominal)) in zip(panels, series.items(), strict=True):
-        stepped = {
-            int(name.rpartition("_")[2]) * period: name
-            for name in dict.fromkeys(waves["variant"])
-            if name.rpartition("_")[0] == stem
-        }
+        names = [name for name in waves["variant"].unique() if name.rpartition("_")[0] == stem]
+        stepped = {int(name.rpartition("_")[2]) * period: name for name in names}
         places = dict(sorted({**nominal, **stepped}.items()))
-        for wave, colour, dash in zip(dict.fromkeys(waves["wave"]), SERIES, DASHES, strict=False):
+        for wave, colour, dash in zip(waves["wave"].unique(), SERIES, DASHES, strict=False):
             ratio = settled[settled["wave"] == wave].set_index("variant")["ratio"]
-            look: dict[str, Any] = {
-                "color": colour,
-                "linestyle": dash,
-                "marker": "o",
-                "markersize": 3.5,
-            }
+            look: Any = {"color": colour, "linestyle": dash, "marker": "o", "markersize": 3.5}
             axes.plot(list(places), ratio[list(places.values())], label=wave, **look)
         axes.axhline(1.0, color=GREY, linestyle="-", linewidth=0.8)
         axes.set(title=title, xlabel=label, yscale="log")
@@ -140,25 +125,19 @@ def _curves(waves: pd.DataFrame, parameters: ParameterSet, failures: str) -> Dra
 
 
 def _opponents(heights: pd.DataFrame, summary: pd.DataFrame) -> Drawing:
-    figure = Figure(figsize=(7.0, 3.0))
-    panels: Sequence[Axes] = figure.subplots(1, 2, sharey=True)
+    figure, panels = plt.subplots(1, 2, sharey=True, figsize=(7.0, 3.0))
     for axes, (window, title) in zip(panels, TITLES.items(), strict=True):
         part = heights[heights["window"] == window]
         for name, (label, colour, dash, marker) in OPPONENTS.items():
             one = part[part["variant"] == name].sort_values("Hs")
-            look: dict[str, Any] = {
-                "color": colour,
-                "linestyle": dash,
-                "marker": marker,
-                "markersize": 4,
-            }
+            look: Any = {"color": colour, "linestyle": dash, "marker": marker, "markersize": 4}
             axes.plot(one["Hs"], one["against"], label=label, **look)
         axes.axhline(1.0, color=GREY, linestyle="-", linewidth=0.8)
         axes.set(title=title, xlabel="significant height, m", yscale="log")
         _plain(axes.yaxis, 1, 2, 5)
     panels[0].set_ylabel("error of the NMPC\nover the opponent's")
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(OPPONENTS))
+    handles, _ = panels[0].get_legend_handles_labels()
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(OPPONENTS))
     settled = summary[summary["window"] == "settled"].set_index("variant")["against"]
     found = ", ".join(f"{OPPONENTS[name][0]} {settled[name]:.2g}" for name in OPPONENTS)
     return Drawing(
@@ -174,30 +153,22 @@ def _opponents(heights: pd.DataFrame, summary: pd.DataFrame) -> Drawing:
 
 
 def _speed(spreads: pd.DataFrame, failures: str) -> Drawing:
-    looks = {
-        "whole": ("whole run", INK),
-        "settled": (f"without the first {TRANSIENT:g} s", ORANGE),
-    }
-    figure = Figure(figsize=(7.0, 2.8))
-    left, right = figure.subplots(1, 2)
+    looks = {"whole": ("whole run", INK), "settled": (f"without the first {TRANSIENT:g} s", ORANGE)}
+    figure, (left, right) = plt.subplots(1, 2, figsize=(7.0, 2.8))
     numbers = ["error", "spread", "spread_least", "spread_most"]
     found = spreads.pivot_table(index="control_period", columns="window", values=numbers)
-    periods = [f"{period:g}" for period in found.index]
     width = 0.8 / len(looks)
     for index, (window, (label, colour)) in enumerate(looks.items()):
-        at = np.arange(len(found)) + (index - (len(looks) - 1) / 2) * width
-        low, middle, high = (
-            100 * found[name, window] for name in ("spread_least", "spread", "spread_most")
-        )
+        at = beside(len(found), index, len(looks), width)
+        low, high = (100 * found[name, window] for name in ("spread_least", "spread_most"))
         left.bar(at, found["error", window], width, color=colour, label=label)
-        right.bar(at, middle, width, color=colour)
+        right.bar(at, 100 * found["spread", window], width, color=colour)
         right.vlines(at, low, high, color=SKY, linewidth=2)
     left.set(title="(a) mean error", ylabel="RMSE, m")
     right.set(title="(b) range over the wave periods", ylabel="% of the mean")
     for axes in (left, right):
-        axes.set_xticks(range(len(found)), periods)
+        name_groups(axes, [f"{period:g}" for period in found.index])
         axes.set_xlabel("control period, s")
-        axes.grid(visible=False, axis="x")
     figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=2)
     settled = ", ".join(f"{share:.0%}" for share in found["spread", "settled"])
     return Drawing(

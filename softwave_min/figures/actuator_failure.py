@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from string import ascii_lowercase
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -11,11 +13,20 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from numpy.typing import NDArray
 
 from softwave_min.experiments.actuator_failure import ALL
 from softwave_min.experiments.closed_loop import others
 from softwave_min.experiments.failures import INTACT, PAPERS_CASE, Case, failure_cases
-from softwave_min.figures.marks import failure_sentence, look, seas_sentence, stem_for, whiskers
+from softwave_min.figures.marks import (
+    beside,
+    failure_sentence,
+    look,
+    name_groups,
+    seas_sentence,
+    stem_for,
+    whiskers,
+)
 from softwave_min.figures.style import BLUE, GREY, INK, ORANGE, SKY, Drawing
 from softwave_min.parameters import ParameterSet
 from softwave_min.runs.statistics import intervals_of
@@ -23,6 +34,7 @@ from softwave_min.runs.store import Store
 from softwave_min.simulation import REFERENCE
 
 Cases = dict[str, Case]
+Floats = NDArray[np.float64]
 
 FACES = {
     INTACT: (INK, ""),
@@ -52,18 +64,18 @@ def draw(store: Store, parameters: ParameterSet) -> dict[str, Drawing]:
 
 def _papers(grid: pd.DataFrame, cases: Cases, name: str) -> Drawing:
     shown = {case: cases[case] for case in (INTACT, PAPERS_CASE)}
-    figure, _ = _panels(grid, shown, f"e_{name}")
+    figure, panels = _panels(grid, shown, f"e_{name}")
     figure.legend(handles=_handles(shown), loc="outside lower center", ncols=3)
     rises = grid[grid["case"] == PAPERS_CASE][f"rise_percent_{name}"]
     return Drawing(
         figure,
         caption=(
             f"RMSE of the tip over the whole run under the {look(name).label}, start-up included, "
-            f"with all segments and with the {cases[PAPERS_CASE].words}: {', '.join(_titles(grid))}"
+            f"with all segments and with the {cases[PAPERS_CASE].words}: {', '.join(panels)}"
             f". {_seas_and_failures(grid[grid['case'].isin(shown)])}"
         ),
         alt=(
-            f"{len(_titles(grid))} panels of paired bars over {grid['Hs'].nunique()} significant "
+            f"{len(panels)} panels of paired bars over {grid['Hs'].nunique()} significant "
             f"heights. The failed arm's bar is between {rises.min():.0f} % and {rises.max():.0f} % "
             "above that of the intact arm."
         ),
@@ -73,9 +85,10 @@ def _papers(grid: pd.DataFrame, cases: Cases, name: str) -> Drawing:
 def _all_cases(grid: pd.DataFrame, cases: Cases, name: str) -> Drawing:
     of_reference = f"e_{REFERENCE}_intact_settled"
     figure, panels = _panels(grid, cases, f"e_{name}_settled")
-    for axes, (_, here) in zip(panels, _by_panel(grid), strict=True):
+    intact = grid[grid["case"] == INTACT].groupby(["wave", "pose"], sort=False)
+    for axes, (_, here) in zip(panels.values(), intact, strict=True):
         axes.set_yscale("log")
-        errors = here[here["case"] == INTACT].groupby("Hs")[of_reference].median()
+        errors = here.groupby("Hs")[of_reference].median()
         places = np.arange(len(errors))
         axes.hlines(errors, places - 0.45, places + 0.45, color=BLUE, linewidth=2)
     line = Line2D([], [], color=BLUE, marker="_", linestyle="", markersize=14, mew=2)
@@ -97,30 +110,22 @@ def _all_cases(grid: pd.DataFrame, cases: Cases, name: str) -> Drawing:
     )
 
 
-def _by_panel(grid: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
-    """A panel's title and rows for each spectrum and pose."""
-    groups = grid.groupby(["wave", "pose"], sort=False)
-    return [
-        (f"({chr(ord('a') + number)}) {wave}, {pose}", rows)
-        for number, ((wave, pose), rows) in enumerate(groups)
-    ]
-
-
-def _titles(grid: pd.DataFrame) -> list[str]:
-    return [title for title, _ in _by_panel(grid)]
-
-
-def _panels(grid: pd.DataFrame, cases: Cases, column: str) -> tuple[Figure, Sequence[Axes]]:
+def _panels(grid: pd.DataFrame, cases: Cases, column: str) -> tuple[Figure, dict[str, Axes]]:
+    """A panel of bars for each spectrum and pose, by its title."""
     shape = grid["wave"].nunique(), grid["pose"].nunique()
     figure, axes = plt.subplots(*shape, figsize=(7.4, 7.0), sharex=True, sharey=True, squeeze=False)
-    for one, (title, rows) in zip(axes.flat, _by_panel(grid), strict=True):
-        _bars(one, rows, tuple(cases), column)
+    panels: dict[str, Axes] = {}
+    groups = grid.groupby(["wave", "pose"], sort=False)
+    for one, letter, ((wave, pose), rows) in zip(axes.flat, ascii_lowercase, groups, strict=False):
+        title = f"({letter}) {wave}, {pose}"
         one.set_title(title)
+        _bars(one, rows, tuple(cases), column)
+        panels[title] = one
     for one in axes[:, 0]:
         one.set_ylabel("RMSE, m")
     for one in axes[-1]:
         one.set_xlabel("significant height, m")
-    return figure, list(axes.flat)
+    return figure, panels
 
 
 def _bars(axes: Axes, here: pd.DataFrame, cases: Sequence[str], column: str) -> None:
@@ -129,17 +134,18 @@ def _bars(axes: Axes, here: pd.DataFrame, cases: Sequence[str], column: str) -> 
     for index, case in enumerate(cases):
         by_height = here[here["case"] == case].groupby("Hs")
         errors = intervals_of(by_height[column])
-        places = np.arange(len(heights)) + (index - (len(cases) - 1) / 2) * width
-        face, hatch = FACES[case]
-        axes.bar(
-            places, errors["median"], width, facecolor=face, hatch=hatch, edgecolor=INK, lw=0.7
-        )
+        places = beside(len(heights), index, len(cases), width)
+        _case_bars(axes, case, places, errors["median"], width)
         if np.any(errors["high"] > errors["low"]):
             whiskers(axes, places, errors["low"], errors["median"], errors["high"], BLUE)
         failed = by_height[["solves_failed", "fallbacks"]].sum().sum(axis=1).to_numpy() > 0
         axes.plot(places[failed], errors["median"][failed], "*", color=BLUE, markersize=9)
-    axes.set_xticks(np.arange(len(heights)), [f"{height:g}" for height in heights])
-    axes.grid(visible=False, axis="x")
+    name_groups(axes, [f"{height:g}" for height in heights])
+
+
+def _case_bars(axes: Axes, case: str, places: Floats, heights: pd.Series, width: float) -> None:
+    face, hatch = FACES[case]
+    axes.bar(places, heights, width, facecolor=face, hatch=hatch, edgecolor=INK, lw=0.7)
 
 
 def _handles(cases: Cases) -> list[Patch]:
@@ -155,34 +161,27 @@ def _seas_and_failures(grid: pd.DataFrame) -> str:
 
 
 def _rises(rises: pd.DataFrame, cases: Cases, name: str, seas: int) -> Drawing:
-    waves = list(dict.fromkeys(rises["wave"]))
+    waves = list(rises["wave"].unique())
     failures = {case: state for case, state in cases.items() if state.segment}
     width = 0.76 / len(failures)
+    quoted = rises.drop_duplicates("wave").set_index("wave")["paper"].dropna()
     figure, axes = plt.subplots(1, 2, figsize=(7.6, 3.6))
-    for one, window, title in zip(
-        axes, ("whole", "settled"), ("(a) whole run", "(b) after the transient"), strict=True
-    ):
+    titles = {"whole": "(a) whole run", "settled": "(b) after the transient"}
+    for one, (window, title) in zip(axes, titles.items(), strict=True):
+        here = rises[rises["window"] == window].set_index(["case", "reading", "wave"]).sort_index()
         for index, case in enumerate(failures):
-            here = rises[(rises["case"] == case) & (rises["window"] == window)]
-            places = np.arange(len(waves)) + (index - (len(failures) - 1) / 2) * width
-            mean, largest = (
-                here[here["reading"] == reading].set_index("wave").loc[waves]
-                for reading in ("mean", "maximum")
-            )
-            face, hatch = FACES[case]
-            one.bar(places, mean["rise"], width, facecolor=face, hatch=hatch, edgecolor=INK, lw=0.7)
+            places = beside(len(waves), index, len(failures), width)
+            mean, largest = (here.xs((case, reading)).loc[waves] for reading in ("mean", "maximum"))
+            _case_bars(one, case, places, mean["rise"], width)
             if seas > 1:
                 whiskers(one, places, mean["low"], mean["rise"], mean["high"], BLUE)
             one.plot(places, largest["rise"], "^", color=INK, markersize=5)
-        quoted = rises.dropna(subset="paper").drop_duplicates("wave").set_index("wave")["paper"]
-        for index, wave in enumerate(waves):
-            if wave in quoted:
-                ends = index - 0.45, index + 0.45
-                one.hlines(quoted[wave], *ends, color=BLUE, linewidth=2, zorder=5)
+        for wave, rise in quoted.items():
+            place = waves.index(wave)
+            one.hlines(rise, place - 0.45, place + 0.45, color=BLUE, linewidth=2, zorder=5)
         one.axhline(0, color=INK, linewidth=0.8)
-        one.set_xticks(np.arange(len(waves)), waves)
         one.set_title(title)
-        one.grid(visible=False, axis="x")
+        name_groups(one, waves)
     axes[0].set_ylabel("rise of the RMSE, %")
     handles = [
         *_handles(failures),
@@ -209,29 +208,21 @@ def _rises(rises: pd.DataFrame, cases: Cases, name: str, seas: int) -> Drawing:
 
 
 def _motion(joints: pd.DataFrame, cases: Cases, name: str) -> Drawing:
-    passive = {
-        case: cases[case].segment for case in cases if case in set(joints["case"]) - {INTACT}
-    }
+    passive = [case for case in cases if case in set(joints["case"]) - {INTACT}]
     figure, axes = plt.subplots(1, len(passive), figsize=(7.4, 3.2), sharey=True, squeeze=False)
-    waves = list(dict.fromkeys(joints["wave"]))
-    for one, (case, segment) in zip(axes[0], passive.items(), strict=True):
-        of_joint = joints[joints["segment"] == segment]
+    waves = list(joints["wave"].unique())
+    splits = {"rms_below": (-0.09, ""), "rms_above": (0.09, "////")}
+    medians = joints.groupby(["segment", "case", "wave"])[list(splits)].median()
+    for one, case in zip(axes[0], passive, strict=True):
+        segment = cases[case].segment
         for side, (arm, face) in enumerate(((INTACT, GREY), (case, ORANGE))):
-            here = of_joint[of_joint["case"] == arm].groupby("wave")[["rms_below", "rms_above"]]
-            of_wave = here.median().loc[waves]
-            places = np.arange(len(waves)) + (side - 0.5) * 0.4
-            for shift, column, hatch in ((-0.09, "rms_below", ""), (0.09, "rms_above", "////")):
-                one.bar(
-                    places + shift,
-                    of_wave[column],
-                    0.18,
-                    facecolor=face,
-                    hatch=hatch,
-                    edgecolor=INK,
-                )
-        one.set_xticks(np.arange(len(waves)), waves)
+            here = medians.xs((segment, arm)).loc[waves]
+            places = beside(len(waves), side, 2, 0.4)
+            for column, (shift, hatch) in splits.items():
+                look_of: Any = {"facecolor": face, "hatch": hatch, "edgecolor": INK}
+                one.bar(places + shift, here[column], 0.18, **look_of)
         one.set_title(f"segment {segment}")
-        one.grid(visible=False, axis="x")
+        name_groups(one, waves)
     axes[0, 0].set_ylabel("rms of the angle, rad")
     handles = [
         Patch(facecolor=GREY, edgecolor=INK, label="actuated"),
@@ -240,8 +231,8 @@ def _motion(joints: pd.DataFrame, cases: Cases, name: str) -> Drawing:
         Patch(facecolor="white", edgecolor=INK, hatch="////", label="above it"),
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=4)
-    share = joints[joints["case"] != INTACT].groupby("wave")["share_above"].median()
-    shares = ", ".join(f"{wave} {100 * share[wave]:.0f} %" for wave in waves)
+    share = joints[joints["case"] != INTACT].groupby("wave", sort=False)["share_above"].median()
+    shares = ", ".join(f"{wave} {100 * one:.0f} %" for wave, one in share.items())
     return Drawing(
         figure,
         caption=(

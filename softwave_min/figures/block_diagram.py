@@ -8,7 +8,6 @@ from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
 import matplotlib.pyplot as plt
-from matplotlib.axes import Axes
 from matplotlib.patches import FancyBboxPatch, Rectangle
 
 from softwave_min.arm import Arm
@@ -23,7 +22,7 @@ from softwave_min.waves import Sea
 Point = tuple[float, float]
 
 WIDTH, HEIGHT = 2.2, 0.9
-FACE = "#f4f4f4"
+FACE, ROUND = "#f4f4f4", "round,pad=0,rounding_size=0.08"
 
 
 @dataclass(frozen=True)
@@ -55,6 +54,11 @@ class Signal:
         return self.name in inspect.signature(self.carrier).parameters
 
 
+CENTRED: Any = {"ha": "center", "va": "center"}
+TO_ARM = (1.3, 4.45), (1.3, 4.85), (11.0, 4.85), (11.0, 2.65)
+TO_ITSELF = (5.8, 2.2), (5.8, 1.25), (4.8, 1.25), (4.8, 1.75)
+TO_NMPC = (11.0, 1.75), (11.0, 0.5), (3.8, 0.5), (3.8, 1.75)
+
 BOXES = (
     Box(Sea, "Sea", (1.3, 4.0)),
     Box(Preview, "Preview", (4.3, 4.0)),
@@ -65,48 +69,40 @@ BOXES = (
 
 SIGNALS = (
     Signal(r"$v_f$", Preview, "flow", ((2.4, 4.0), (3.2, 4.0)), (2.8, 4.22)),
-    Signal(
-        r"$v_f$",
-        Plant.advance,
-        "flow",
-        ((1.3, 4.45), (1.3, 4.85), (11.0, 4.85), (11.0, 2.65)),
-        (11.3, 3.7),
-    ),
+    Signal(r"$v_f$", Plant.advance, "flow", TO_ARM, (11.3, 3.7)),
     Signal("noise", Preview, "deviation", ((6.4, 4.0), (5.4, 4.0)), (6.85, 4.0)),
     Signal("forecast", Problem, "forecast", ((4.3, 3.55), (4.3, 2.65)), (4.95, 3.1)),
     Signal(r"$\bar{\mathbf{x}}$", Problem, "reference", ((2.2, 2.4), (3.2, 2.4)), (2.0, 2.4)),
     Signal(r"$\bar q$", Command, "q_bar", ((5.4, 2.2), (6.7, 2.2)), (6.2, 2.47)),
-    Signal(
-        r"$\bar q_{k-1}$",
-        Problem,
-        "previous",
-        ((5.8, 2.2), (5.8, 1.25), (4.8, 1.25), (4.8, 1.75)),
-        (5.3, 1.02),
-    ),
+    Signal(r"$\bar q_{k-1}$", Problem, "previous", TO_ITSELF, (5.3, 1.02)),
     Signal(r"$\tau$", ClosedLoop, "torque", ((8.9, 2.2), (9.9, 2.2)), (9.4, 2.47)),
     Signal(r"$q,\ \dot q$", InnerLoop.torque, "x", ((7.8, 0.5), (7.8, 1.75)), (8.3, 1.1)),
-    Signal(
-        r"$q,\ \dot q$",
-        Problem,
-        "state",
-        ((11.0, 1.75), (11.0, 0.5), (3.8, 0.5), (3.8, 1.75)),
-        (11.55, 1.1),
-    ),
+    Signal(r"$q,\ \dot q$", Problem, "state", TO_NMPC, (11.55, 1.1)),
 )
 
 
 def block_diagram() -> Drawing:
     """Blocks and signals of the closed loop under the NMPC."""
-    figure, axis = plt.subplots(figsize=(7.0, 3.1))
-    axis.set(xlim=(0.0, 12.3), ylim=(0.0, 5.2))
-    axis.set_axis_off()
+    figure, axes = plt.subplots(figsize=(7.0, 3.1))
+    axes.set(xlim=(0.0, 12.3), ylim=(0.0, 5.2))
+    axes.set_axis_off()
     frame = Rectangle((6.45, 0.75), 5.8, 2.45, fill=False, edgecolor=GREY, linestyle=(0, (4, 2)))
-    axis.add_patch(frame)
-    axis.text(9.0, 2.97, "continuous time", color="#555555", ha="center", va="center", fontsize=8)
+    axes.add_patch(frame)
+    axes.text(9.0, 2.97, "continuous time", color="#555555", fontsize=8, **CENTRED)
     for box in BOXES:
-        _draw_box(axis, box)
+        x, z = box.middle
+        corner = x - WIDTH / 2, z - HEIGHT / 2
+        axes.add_patch(FancyBboxPatch(corner, WIDTH, HEIGHT, boxstyle=ROUND, fc=FACE, ec=INK))
+        axes.text(x, z + 0.17, box.words, fontweight="bold", fontsize=8, **CENTRED)
+        axes.text(x, z - 0.2, box.kind.__name__, family="monospace", fontsize=7.5, **CENTRED)
+    arrow = {"arrowstyle": "-|>", "color": INK, "shrinkA": 0, "shrinkB": 0, "linewidth": 1.0}
     for signal in SIGNALS:
-        _draw_signal(axis, signal)
+        *_, before, end = signal.path
+        if len(signal.path) > 2:
+            corners = zip(*signal.path[:-1], strict=True)
+            axes.plot(*corners, color=INK, linestyle="-", linewidth=1.0)
+        axes.annotate("", xy=end, xytext=before, arrowprops=arrow)
+        axes.text(*signal.label, signal.symbol, **CENTRED)
     return Drawing(
         figure,
         "The control loop as the code has it (the paper's block diagram). Each block names the "
@@ -117,29 +113,3 @@ def block_diagram() -> Drawing:
         "The NMPC's commanded angles go to feed-forward and PD, whose torque goes to the arm. "
         "The arm's state returns to both, and the NMPC's last command to itself.",
     )
-
-
-def _draw_box(axis: Axes, box: Box) -> None:
-    x, z = box.middle
-    axis.add_patch(
-        FancyBboxPatch(
-            (x - WIDTH / 2, z - HEIGHT / 2),
-            WIDTH,
-            HEIGHT,
-            boxstyle="round,pad=0,rounding_size=0.08",
-            facecolor=FACE,
-            edgecolor=INK,
-        )
-    )
-    axis.text(x, z + 0.17, box.words, ha="center", va="center", fontweight="bold", fontsize=8)
-    name = box.kind.__name__
-    axis.text(x, z - 0.2, name, ha="center", va="center", family="monospace", fontsize=7.5)
-
-
-def _draw_signal(axis: Axes, signal: Signal) -> None:
-    *corners, before, end = signal.path
-    if corners:
-        axis.plot(*zip(*corners, before, strict=True), color=INK, linestyle="-", linewidth=1.0)
-    arrow = {"arrowstyle": "-|>", "color": INK, "shrinkA": 0, "shrinkB": 0, "linewidth": 1.0}
-    axis.annotate("", xy=end, xytext=before, arrowprops=arrow)
-    axis.text(*signal.label, signal.symbol, ha="center", va="center")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -13,12 +14,14 @@ from matplotlib.patches import Patch
 
 from softwave_min.experiments.closed_loop import TRANSIENT, others
 from softwave_min.figures.marks import (
+    beside,
     failure_sentence,
     look,
+    name_groups,
     seas_sentence,
     stem_for,
     whiskers,
-)
+)  # fmt: skip
 from softwave_min.figures.style import DASHES, GREY, INK, ORANGE, Drawing
 from softwave_min.paper.cases import poses, wave_cases
 from softwave_min.paper.numbers import CONTROLLER, error_ratio
@@ -27,7 +30,7 @@ from softwave_min.runs.statistics import intervals_of
 from softwave_min.runs.store import Store
 from softwave_min.simulation import REFERENCE
 
-LIGHTEST, DARKEST = (0.80, 0.88, 0.95), (0.03, 0.19, 0.42)
+LIGHTEST, DARKEST = np.array([0.80, 0.88, 0.95]), np.array([0.03, 0.19, 0.42])
 """Colours of the smallest and the greatest height; lightness falls between them."""
 GROUP = 0.84
 """Width of the bars of one pose, of the distance between poses."""
@@ -99,21 +102,21 @@ def _over_seas(table: pd.DataFrame, column: str) -> pd.DataFrame:
 def _bars(cells: pd.DataFrame, *, quoted: bool) -> Figure:
     """One panel per wave case; ``quoted`` adds what the paper's text has."""
     heights = cells.index.unique(2)
-    colours = _shades(len(heights))
-    figure = Figure(figsize=(7.0, 6.4))
-    panels: Sequence[Axes] = figure.subplots(len(wave_cases()), 1, sharex=True, sharey=True)
+    steps = np.linspace(0, 1, len(heights))[:, None]
+    colours = [to_hex(shade) for shade in (1 - steps) * LIGHTEST + steps * DARKEST]
+    cases = wave_cases()
+    figure, panels = plt.subplots(len(cases), 1, sharex=True, sharey=True, figsize=(7.0, 6.4))
     highest = cells["high"].max()
     top = max(highest, 1.0) if quoted else highest
-    for letter, wave, axes in zip("abc", wave_cases().values(), panels, strict=True):
-        _panel(axes, cells[cells.index.get_level_values(0) == wave.name], colours)
+    for letter, wave, axes in zip("abc", cases.values(), panels, strict=True):
+        _panel(axes, cells.loc[[wave.name]], colours)
         if quoted:
             _paper_marks(axes, wave.name)
         if top >= 1.0:
             axes.axhline(1.0, color=GREY, linestyle="-", linewidth=1.0)
-        axes.set_title(f"({letter}) {wave.name}, $T_p$ = {wave.peak_period:g} s")
+        axes.set(title=f"({letter}) {wave.name}, $T_p$ = {wave.peak_period:g} s")
         axes.set_ylabel("ratio of errors")
-        axes.grid(visible=False, axis="x")
-    panels[-1].set_xticks(range(len(poses())), list(poses()))
+        name_groups(axes, poses())
     panels[-1].set_ylim(0, 1.08 * top)
     figure.legend(
         [Patch(facecolor=colour, edgecolor=INK) for colour in colours],
@@ -131,7 +134,7 @@ def _panel(axes: Axes, cells: pd.DataFrame, colours: Sequence[str]) -> None:
     """Bars by pose and height, their spread over the seas, and a cross where solves failed."""
     width = GROUP / len(colours)
     for number, (colour, (_, rows)) in enumerate(zip(colours, cells.groupby(level=2), strict=True)):
-        places = np.arange(len(rows)) + width * (number + 0.5) - GROUP / 2
+        places = beside(len(rows), number, len(colours), width)
         axes.bar(places, rows["median"], width, color=colour, edgecolor=INK, linewidth=0.4)
         if np.any(rows["high"] > rows["low"]):
             whiskers(axes, places, rows["low"], rows["median"], rows["high"])
@@ -145,20 +148,9 @@ def _paper_marks(axes: Axes, wave: str) -> None:
         (quoted.largest_pose, quoted.largest),
         (quoted.smallest_pose, quoted.smallest),
     ):
-        place = names.index(pose)
-        axes.plot(
-            [place - GROUP / 2, place + GROUP / 2],
-            [1 - reduction / 100] * 2,
-            color=ORANGE,
-            linestyle=DASHES[1],
-            linewidth=1.4,
-        )
-
-
-def _shades(count: int) -> list[str]:
-    steps = np.linspace(0, 1, count)[:, None]
-    shades = (1 - steps) * np.array(LIGHTEST) + steps * np.array(DARKEST)
-    return [to_hex(tuple(shade)) for shade in shades]
+        place, ratio = names.index(pose), 1 - reduction / 100
+        ends = [place - GROUP / 2, place + GROUP / 2]
+        axes.plot(ends, [ratio, ratio], color=ORANGE, linestyle=DASHES[1], linewidth=1.4)
 
 
 def _grid_in_words(table: pd.DataFrame) -> str:

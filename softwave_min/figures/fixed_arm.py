@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from softwave_min.figures.style import DASHES, GREY, SERIES, Drawing
 from softwave_min.paper.cases import poses
@@ -17,12 +19,11 @@ from softwave_min.runs.store import Store
 def draw(store: Store, parameters: ParameterSet) -> dict[str, Drawing]:
     """Torque over depth in one posture, and over curvature in all."""
     postures, depth = store.read_table("postures"), store.read_table("depth")
-    figure = Figure(figsize=(7.0, 3.4))
-    left, right = figure.subplots(1, 2, width_ratios=(1, 1.1))
+    figure, (left, right) = plt.subplots(1, 2, figsize=(7.0, 3.4), width_ratios=(1, 1.1))
     pose, base = error_ratio().reduction["W1"].largest_pose, parameters.arm.base_position[1]
     _decay(left, depth[(depth.pose == pose) & (depth.seed == depth.seed.min())], base)
     _by_curvature(right, postures[postures.seed == postures.seed.min()])
-    ratio = postures.torque_uniform / postures.torque
+    ratio, depths = postures.torque_uniform / postures.torque, [z for _, z in poses().values()]
     drawing = Drawing(
         figure,
         caption=(
@@ -31,10 +32,9 @@ def draw(store: Store, parameters: ParameterSet) -> dict[str, Drawing]:
             "and lowered, relative to the operating depth: lines the torque, dots the square of "
             "the water's speed at the base, crosses exp(2kz) for the peak's wave number. Grey "
             "lines: the depths of the paper's targets. (b) In the postures of the six poses, over "
-            "their mean curvature: filled at z = "
-            f"{max(z for _, z in poses().values()):g} m, open at "
-            f"{min(z for _, z in poses().values()):g} m, crosses if the whole arm met "
-            "the flow at its base; marks of the wave cases are shifted apart."
+            f"their mean curvature: filled at z = {max(depths):g} m, open at {min(depths):g} m, "
+            "crosses if the whole arm met the flow at its base; marks of the wave cases are "
+            "shifted apart."
         ),
         alt=(
             "Left: relative torque against depth for three wave cases, falling with depth, "
@@ -47,12 +47,9 @@ def draw(store: Store, parameters: ParameterSet) -> dict[str, Drawing]:
 
 
 def _decay(axes: Axes, depth: pd.DataFrame, base: float) -> None:
-    for number, (wave, rows) in enumerate(depth.groupby("wave")):
+    for (wave, rows), colour, dash in zip(depth.groupby("wave"), SERIES, DASHES, strict=False):
         here = rows[rows.z == base].iloc[0]
-        colour = SERIES[number]
-        axes.semilogx(
-            rows.torque / here.torque, rows.z, color=colour, linestyle=DASHES[number], label=wave
-        )
+        axes.semilogx(rows.torque / here.torque, rows.z, color=colour, linestyle=dash, label=wave)
         axes.semilogx((rows.speed / here.speed) ** 2, rows.z, ".", color=colour)
         axes.semilogx(rows.decay**2, rows.z, "x", color=colour, markersize=4)
     for z in sorted({z for _, z in poses().values()}):
@@ -68,19 +65,13 @@ def _by_curvature(axes: Axes, postures: pd.DataFrame) -> None:
     upper = max(z for _, z in poses().values())
     apart = 0.04 * float(np.ptp(postures.curvature))
     for number, (wave, rows) in enumerate(postures.groupby("wave")):
-        colour, shift = SERIES[number], apart * (number - 1)
+        colour, marker = SERIES[number], "os^"[number]
+        places = rows.curvature + apart * (number - 1)
         above = rows.pose.map(lambda pose: poses()[pose][1] == upper)
-        for shown, face, label in ((rows[above], colour, wave), (rows[~above], "white", None)):
-            axes.plot(
-                shown.curvature + shift,
-                shown.torque,
-                "os^"[number],
-                color=colour,
-                markerfacecolor=face,
-                markersize=5,
-                label=label,
-            )
-        axes.plot(rows.curvature + shift, rows.torque_uniform, "x", color=colour, markersize=4)
+        for shown, face, label in ((above, colour, wave), (~above, "white", None)):
+            look: Any = {"color": colour, "mfc": face, "markersize": 5, "label": label}
+            axes.plot(places[shown], rows.torque[shown], marker, **look)
+        axes.plot(places, rows.torque_uniform, "x", color=colour, markersize=4)
     axes.set_ylim(bottom=0)
     axes.set(title="(b) the six poses", xlabel="mean curvature, 1/m", ylabel="rms torque, N m")
     axes.legend()

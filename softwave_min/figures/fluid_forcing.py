@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import matplotlib.pyplot as plt
@@ -59,8 +60,6 @@ def point_load(
 
     Parameters
     ----------
-    arm : Arm
-    sea : Sea
     state : pair of array_like, (n,)
         q and qd, in rad and rad/s.
     time : float
@@ -76,17 +75,14 @@ def point_load(
     flow = np.array(sea.velocity(position[0], position[1], time))
     values = Values.unpacked(ca.SX(arm.values), arm.segments)
     section = Section.of(arm.structure, values, segment)
-    normal, tangential, _ = section.loads(
-        ca.SX(angle), ca.SX(velocity), ca.SX(flow), ca.SX.zeros(2)
-    )
+    drag = section.loads(ca.SX(angle), ca.SX(velocity), ca.SX(flow), ca.SX.zeros(2))[:2]
     length = arm.parameters.length[segment]
     return PointLoad(
         position,
         np.array(ca.evalf(local_frame(ca.SX(angle)))),
         velocity,
         flow,
-        np.array(ca.evalf(normal)).ravel() / length,
-        np.array(ca.evalf(tangential)).ravel() / length,
+        *(np.array(ca.evalf(one)).ravel() / length for one in drag),
     )
 
 
@@ -97,41 +93,35 @@ def fluid_forcing(
     time: float,
     close_up: tuple[int, int] = (1, 2),
 ) -> Drawing:
-    """Draw the arm at one instant with the drag on it.
+    """Draw the arm at one instant, in s, with the drag on it.
 
     Parameters
     ----------
-    arm : Arm
-    sea : Sea
     state : pair of array_like, (n,)
         q and qd, in rad and rad/s.
-    time : float
-        In s.
     close_up : tuple of int
         Segment and quadrature point, each from 0, that the second panel shows.
     """
-    points = [
-        [point_load(arm, sea, state, time, (segment, s)) for s, _ in arm.structure.rule]
-        for segment in range(arm.segments)
-    ]
-    fine = [
-        [point_load(arm, sea, state, time, (segment, s)) for s in np.linspace(0, 1, FINE)]
-        for segment in range(arm.segments)
-    ]
+
+    def loads(places: Iterable[float]) -> list[list[PointLoad]]:
+        return [
+            [point_load(arm, sea, state, time, (segment, s)) for s in places]
+            for segment in range(arm.segments)
+        ]
+
+    points, fine = loads([s for s, _ in arm.structure.rule]), loads(np.linspace(0, 1, FINE))
     largest = max(float(np.linalg.norm(one.normal)) for on in fine for one in on)
-    scale = LONGEST_FORCE / largest
     figure, (whole, near) = plt.subplots(1, 2, figsize=(8.4, 4.3), width_ratios=(1.1, 1))
     _water(whole, sea, time, fine)
     _body(whole, arm, fine)
-    for on_segment, on_fine in zip(points, fine, strict=True):
-        _distribution(whole, on_fine, scale)
-        _forces(whole, on_segment, scale)
+    _drag(whole, points, fine, LONGEST_FORCE / largest)
     x, z = arm.parameters.base_position
     whole.plot(x, z, marker="s", color=INK, markersize=9, zorder=6)
     whole.set(title="(a) drag on every segment", aspect="equal", xlabel="x (m)", ylabel="z (m)")
     chosen = points[close_up[0]][close_up[1]]
     whole.plot(*chosen.position, "o", color="none", markeredgecolor=INK, markersize=17, zorder=7)
-    _close_up(near, arm, fine, chosen)
+    _body(near, arm, fine)
+    _velocities(near, chosen)
     return Drawing(
         figure,
         caption=(
@@ -157,18 +147,9 @@ def _water(axes: Axes, sea: Sea, time: float, fine: Sequence[Sequence[PointLoad]
     corners = np.array([one.position for on in fine for one in on])
     low, high = corners.min(axis=0) - 0.22, corners.max(axis=0) + 0.22
     x, z = np.meshgrid(np.arange(low[0], high[0], 0.13), np.arange(low[1], high[1], 0.13))
-    axes.quiver(
-        x,
-        z,
-        *sea.velocity(x, z, time),
-        color=GREY,
-        alpha=0.55,
-        angles="xy",
-        scale_units="xy",
-        scale=12,
-        width=0.004,
-        zorder=0,
-    )
+    look: Any = {"color": GREY, "alpha": 0.55, "width": 0.004, "zorder": 0}
+    flow = sea.velocity(x, z, time)
+    axes.quiver(x, z, *flow, angles="xy", scale_units="xy", scale=12, **look)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     axes.grid(visible=False)
 
@@ -179,90 +160,66 @@ def _body(axes: Axes, arm: Arm, fine: Sequence[Sequence[PointLoad]]) -> None:
         side = np.array([half * one.frame[0] for one in on])
         middle = np.array([one.position for one in on])
         outline = np.concatenate([middle + side, (middle - side)[::-1]])
-        colour = BODY[segment % len(BODY)]
-        axes.fill(
-            *outline.T, facecolor=colour, edgecolor=INK, linewidth=0.7, linestyle="-", zorder=1
-        )
+        face = BODY[segment % len(BODY)]
+        axes.fill(*outline.T, fc=face, edgecolor=INK, linewidth=0.7, linestyle="-", zorder=1)
         axes.plot(*middle.T, color=INK, linestyle="-.", linewidth=0.6, zorder=2)
 
 
-def _distribution(axes: Axes, fine: Sequence[PointLoad], scale: float) -> None:
-    middle = np.array([one.position for one in fine])
-    ends = middle + scale * np.array([one.normal for one in fine])
-    axes.fill(
-        *np.concatenate([middle, ends[::-1]]).T, color=ORANGE, alpha=0.18, linewidth=0, zorder=2
-    )
-    axes.plot(*ends.T, color=ORANGE, linestyle="-", linewidth=0.9, zorder=3)
+def _drag(
+    axes: Axes,
+    points: Sequence[Sequence[PointLoad]],
+    fine: Sequence[Sequence[PointLoad]],
+    scale: float,
+) -> None:
+    """Profiles of the drag along each segment, and arrows at its quadrature points."""
+    for on_points, on_fine in zip(points, fine, strict=True):
+        middle = np.array([one.position for one in on_fine])
+        ends = middle + scale * np.array([one.normal for one in on_fine])
+        profile = np.concatenate([middle, ends[::-1]])
+        axes.fill(*profile.T, color=ORANGE, alpha=0.18, linewidth=0, zorder=2)
+        axes.plot(*ends.T, color=ORANGE, linestyle="-", linewidth=0.9, zorder=3)
+        for one in on_points:
+            _arrow(axes, one.position, scale * one.normal, ORANGE)
+            _arrow(axes, one.position, FRICTION_SCALE * scale * one.tangential, BLUE)
+            axes.plot(*one.position, "o", color=INK, markersize=3.2, zorder=6)
 
 
-def _forces(axes: Axes, points: Sequence[PointLoad], scale: float) -> None:
-    for one in points:
-        _arrow(axes, one.position, scale * one.normal, ORANGE)
-        _arrow(axes, one.position, FRICTION_SCALE * scale * one.tangential, BLUE)
-        axes.plot(*one.position, "o", color=INK, markersize=3.2, zorder=6)
-
-
-def _close_up(axes: Axes, arm: Arm, fine: Sequence[Sequence[PointLoad]], point: PointLoad) -> None:
-    _body(axes, arm, fine)
+def _velocities(axes: Axes, point: PointLoad) -> None:
+    """The velocities at a point, and the local frame's parts of the relative one."""
     normal, tangent = point.frame
     origin = point.position
     speeds = [np.linalg.norm(one) for one in (point.velocity, point.flow, point.relative)]
     scale = LONGEST_VELOCITY / float(max(speeds))
-    relative = scale * point.relative
+    body, flow, relative = (scale * one for one in (point.velocity, point.flow, point.relative))
     across, along = normal * (normal @ relative), tangent * (tangent @ relative)
     for direction, name in ((normal, "$n$"), (tangent, "$t$")):
-        _arrow(axes, origin, 0.115 * direction, INK, width=0.9)
+        _arrow(axes, origin, 0.115 * direction, INK, linewidth=0.9)
         _label(axes, origin + 0.125 * direction, name, INK)
-    _arrow(axes, origin, scale * point.velocity, SKY)
-    _arrow(axes, origin, scale * point.flow, GREY)
-    _arrow(axes, origin + scale * point.flow, relative, INK, width=1.0, dashed=True)
-    _arrow(axes, origin, -across, ORANGE)
-    _arrow(axes, origin, -along, BLUE)
+    dashed: dict[str, Any] = {"linewidth": 1.0, "linestyle": "--"}
+    for start, vector, share, side, name, colour, look in (
+        (origin, body, 0.6, -1, "$v$", SKY, {}),
+        (origin, flow, 0.6, -1, "$v_f$", GREY, {}),
+        (origin + flow, relative, 0.3, -1, "$v_r$", INK, dashed),
+        (origin, -across, 0.6, -1, "$-v_n$", ORANGE, {}),
+        (origin, -along, 0.8, 1, "$-v_t$", BLUE, {}),
+    ):
+        _arrow(axes, start, vector, colour, **look)
+        aside = np.array([-vector[1], vector[0]]) / float(np.linalg.norm(vector))
+        _label(axes, start + share * vector + 0.014 * side * aside, name, colour)
     for part, colour in ((across, ORANGE), (along, BLUE)):
         corner = np.array([origin - part, origin - relative])
         axes.plot(*corner.T, color=colour, linestyle=":", linewidth=1.0)
-    for start, vector, share, side, name, colour in (
-        (origin, scale * point.velocity, 0.6, -1, "$v$", SKY),
-        (origin, scale * point.flow, 0.6, -1, "$v_f$", GREY),
-        (origin + scale * point.flow, relative, 0.3, -1, "$v_r$", INK),
-        (origin, -across, 0.6, -1, "$-v_n$", ORANGE),
-        (origin, -along, 0.8, 1, "$-v_t$", BLUE),
-    ):
-        _label(axes, start + share * vector + 0.014 * side * _aside(vector), name, colour)
     axes.plot(*origin, "o", color=INK, markersize=5, zorder=6)
-    reach = 0.15
-    axes.set(
-        title="(b) one quadrature point",
-        aspect="equal",
-        xlim=(origin[0] - reach, origin[0] + reach),
-        ylim=(origin[1] - reach, origin[1] + reach),
-        xlabel="x (m)",
-    )
+    x, z, reach = *origin, 0.15
+    axes.set(xlim=(x - reach, x + reach), ylim=(z - reach, z + reach), xlabel="x (m)")
+    axes.set(title="(b) one quadrature point", aspect="equal")
     axes.grid(visible=False)
 
 
-def _aside(vector: Floats) -> Floats:
-    turned = np.array([-vector[1], vector[0]])
-    return turned / float(np.linalg.norm(vector))
-
-
-def _arrow(
-    axes: Axes, start: Floats, vector: Floats, colour: str, width: float = 1.6, dashed: bool = False
-) -> None:
-    axes.add_patch(
-        FancyArrowPatch(
-            tuple(start),
-            tuple(start + vector),
-            mutation_scale=9,
-            arrowstyle="-|>",
-            linestyle="--" if dashed else "-",
-            shrinkA=0,
-            shrinkB=0,
-            color=colour,
-            linewidth=width,
-            zorder=5,
-        )
-    )
+def _arrow(axes: Axes, start: Floats, vector: Floats, colour: str, **look: Any) -> None:
+    look = {"linewidth": 1.6, "mutation_scale": 9, "shrinkA": 0, "shrinkB": 0, "zorder": 5, **look}
+    ends = tuple(start), tuple(start + vector)
+    axes.add_patch(FancyArrowPatch(*ends, arrowstyle="-|>", color=colour, **look))
 
 
 def _label(axes: Axes, place: Floats, text: str, colour: str) -> None:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import cycle
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from softwave_min.experiments.closed_loop import controllers
 from softwave_min.figures.style import BLUE, DASHES, INK, ORANGE, SKY
@@ -49,19 +50,10 @@ def stem_for(stem: str, controller: str) -> str:
     return stem if controller == CONTROLLER else f"{stem}_{controller}"
 
 
-def intervals(
-    axes: Axes,
-    places: Sequence[float],
-    rows: pd.DataFrame,
-    middle: str = "median",
-    *,
-    colour: str = INK,
-    band: str = SKY,
-    marker: str = "s",
-) -> None:
+def intervals(axes: Axes, places: Sequence[float], rows: pd.DataFrame) -> None:
     """A mark at the median and a bar from ``low`` to ``high`` for each row."""
-    axes.vlines(places, rows["low"], rows["high"], color=band, linewidth=6)
-    axes.plot(places, rows[middle], marker, color=colour, markersize=4, linestyle="none")
+    axes.vlines(places, rows["low"], rows["high"], color=SKY, linewidth=6)
+    axes.plot(places, rows["median"], "s", color=INK, markersize=4, linestyle="none")
 
 
 def whiskers(
@@ -71,6 +63,18 @@ def whiskers(
     axes.errorbar(
         places, middle, [middle - low, high - middle], fmt="none", ecolor=colour, elinewidth=0.9
     )
+
+
+def beside(groups: int, index: int, count: int, width: float) -> NDArray[np.float64]:
+    """Middles of one bar of every group, the one at ``index`` of ``count`` side by side."""
+    return np.arange(groups, dtype=float) + (index - (count - 1) / 2) * width
+
+
+def name_groups(axes: Axes, names: Iterable[str]) -> None:
+    """Write the groups' names under them, and leave out the lines of the grid there."""
+    names = list(names)
+    axes.set_xticks(range(len(names)), names)
+    axes.grid(visible=False, axis="x")
 
 
 def legend_above(axes: Axes, **options: Any) -> None:

@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, FuncFormatter
-from numpy.typing import NDArray
 
 from softwave_min.figures.style import GREY, INK, ORANGE, SKY, Drawing
 from softwave_min.paper.tolerance import POINTS, SHARE
@@ -32,18 +31,17 @@ ROW = 0.19
 
 def draw(store: Store, parameters: ParameterSet) -> dict[str, Drawing]:  # noqa: ARG001
     """A row for each switch, a panel for each group of numbers."""
-    effects, scatter = store.read_table("effects"), store.read_table("scatter")
-    ranked = ranking(store.read_table("points"))
-    largest = scatter.groupby("group")[["scatter", "allowance"]].max()
-    usual = {str(group): band.to_numpy(float) for group, band in largest.iterrows()}
+    effects, scatter, points = map(store.read_table, ("effects", "scatter", "points"))
+    ranked = ranking(points)
+    usual = scatter.groupby("group")[["scatter", "allowance"]].max()
     figure, axes = plt.subplots(1, len(PANELS), sharey=True, figsize=(7.0, 1.3 + ROW * len(ranked)))
     for one, (group, (title, scale)) in zip(axes, PANELS.items(), strict=True):
         changes = effects[effects["group"] == group].groupby("field")["difference"]
-        _panel(one, scale * changes.agg(["min", "max"]), list(ranked), scale * usual[group])
+        _panel(one, scale * changes.agg(["min", "max"]), list(ranked), *(scale * usual.loc[group]))
         one.set_title(title)
     axes[0].set_yticks(range(len(ranked)), list(ranked.values()), fontsize=7)
     axes[0].set_ylim(len(ranked) - 0.4, -0.6)
-    matter = store.read_table("points").groupby("field")["matters"].first().eq("yes").sum()
+    matter = points.groupby("field")["matters"].first().eq("yes").sum()
     seas = int(scatter["seas"].max())
     caption = (
         "What other readings of the paper do to its headline numbers: for each switch of the "
@@ -76,8 +74,9 @@ def ranking(points: pd.DataFrame) -> dict[str, str]:
     }
 
 
-def _panel(axes: Axes, changes: pd.DataFrame, fields: list[str], band: NDArray[np.float64]) -> None:
-    scatter, allowance = (float(limit) for limit in band)
+def _panel(
+    axes: Axes, changes: pd.DataFrame, fields: list[str], scatter: float, allowance: float
+) -> None:
     axes.axvspan(-scatter, scatter, color=SKY, alpha=0.35, linewidth=0)
     axes.axvline(0.0, color=GREY, linewidth=0.8, linestyle="-")
     for limit in (-allowance, allowance):
@@ -102,12 +101,9 @@ def _panel(axes: Axes, changes: pd.DataFrame, fields: list[str], band: NDArray[n
 
 def _ticks(scatter: float, largest: float) -> list[float]:
     """Zero, a round number within the linear part of the scale, and some far enough beyond."""
-    power = math.floor(math.log10(scatter))
-    round_numbers = [
-        part * 10.0**one
-        for one in range(power, math.floor(math.log10(max(largest, scatter))) + 1)
-        for part in (1, 2, 5)
-    ]
+    powers = [math.floor(math.log10(one)) for one in (scatter, max(largest, scatter))]
+    decades = range(powers[0], powers[1] + 1)
+    round_numbers = [part * 10.0**power for power in decades for part in (1, 2, 5)]
     ticks = [max(one for one in round_numbers if one <= scatter)]
     for one in round_numbers:
         if APART * ticks[-1] <= one <= largest:

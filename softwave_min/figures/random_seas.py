@@ -8,7 +8,14 @@ from matplotlib.axes import Axes
 
 from softwave_min.experiments.closed_loop import others
 from softwave_min.experiments.failures import PAPERS_CASE
-from softwave_min.figures.marks import failure_sentence, intervals, look, seas_sentence, stem_for
+from softwave_min.figures.marks import (
+    failure_sentence,
+    intervals,
+    look,
+    name_groups,
+    seas_sentence,
+    stem_for,
+)
 from softwave_min.figures.style import ORANGE, Drawing
 from softwave_min.parameters import ParameterSet
 from softwave_min.runs.store import Store
@@ -20,20 +27,17 @@ def draw(store: Store, parameters: ParameterSet) -> dict[str, Drawing]:  # noqa:
 
 
 def _drawn(store: Store, name: str) -> Drawing:
-    def of(stem: str, **values: str) -> pd.DataFrame:
-        table = store.read_table(stem)
-        chosen = {"controller": name, **values}.items()
-        return table[pd.concat([table[key] == one for key, one in chosen], axis=1).all(axis=1)]
+    def of(stem: str, chosen: str) -> pd.DataFrame:
+        return store.read_table(stem).query(f"controller == '{name}' and {chosen}")
 
     grid = store.read_table("error_ratio")
-    reductions = of("reductions")
-    reductions = reductions[reductions["wave"] != "all"]
-    rises = of("rises", case=PAPERS_CASE, reading="mean", window="whole")
+    rises = of("rises", f"case == '{PAPERS_CASE}' and reading == 'mean' and window == 'whole'")
+    reductions = of("reductions", "wave != 'all'").groupby("quantity")
     panels = [
-        ("(a) largest\nreduction, %", reductions[reductions["quantity"] == "largest"]),
-        ("(b) smallest\nreduction, %", reductions[reductions["quantity"] == "smallest"]),
+        ("(a) largest\nreduction, %", reductions.get_group("largest")),
+        ("(b) smallest\nreduction, %", reductions.get_group("smallest")),
         ("(c) rise with failed\nsegment, %", rises.rename(columns={"rise": "median"})),
-        ("(d) error on\nthe star, m", of("star_errors", measure="rmse")),
+        ("(d) error on\nthe star, m", of("star_errors", "measure == 'rmse'")),
     ]
     figure, axes = plt.subplots(1, len(panels), figsize=(7.0, 2.9))
     for one, (title, rows) in zip(axes, panels, strict=True):
@@ -60,6 +64,5 @@ def _panel(axes: Axes, rows: pd.DataFrame) -> None:
     places = range(len(rows))
     intervals(axes, places, rows)
     axes.plot(places, rows["paper"], "x", color=ORANGE, markersize=7, markeredgewidth=2)
-    axes.set_xticks(places, list(rows["wave"]))
+    name_groups(axes, rows["wave"])
     axes.set_xlim(-0.6, len(rows) - 0.4)
-    axes.grid(visible=False, axis="x")

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import matplotlib.pyplot as plt
+import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
@@ -48,13 +50,9 @@ def screening_matrix(table: pd.DataFrame) -> Figure:
         1, 2, figsize=(7.0, 5.2), sharey=True, width_ratios=(len(numbers), 3)
     )
     axes.imshow(shades, cmap="Greys", vmin=0, vmax=1, aspect="auto")
-    for row, factor in enumerate(factors):
-        for column, number in enumerate(numbers):
-            shade = float(shades.loc[factor, number])
-            colour = "white" if shade > DARK else INK
-            axes.text(
-                column, row, f"{shade:.2f}", color=colour, ha="center", va="center", fontsize=6
-            )
+    for (row, column), shade in np.ndenumerate(shades.to_numpy(float)):
+        look: Any = {"color": "white" if shade > DARK else INK, "ha": "center", "va": "center"}
+        axes.text(column, row, f"{shade:.2f}", fontsize=6, **look)
     axes.set_xticks(range(len(numbers)), map(number_label, numbers), rotation=90)
     axes.set_yticks(range(len(factors)), map(factor_label, factors))
     axes.set_title("(a) effect on each number")

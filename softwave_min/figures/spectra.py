@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
-
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+import matplotlib.pyplot as plt
 
 from softwave_min.experiments.spectra import EXPERIMENT, SeaRecord
 from softwave_min.figures.style import DASHES, SERIES, Drawing
@@ -21,22 +17,24 @@ def draw(store: Store, parameters: ParameterSet) -> dict[str, Drawing]:
     runs = EXPERIMENT.runs(parameters)
     records: list[SeaRecord] = [run.parameters for run in runs]
     results = [store.load_run(run) for run in runs]
-    figure = Figure(figsize=(7.0, 4.4))
-    curves, *series = figure.subplots(2, 2).ravel()
-    _draw_curves(curves, records, results)
-    reach = max(float(abs(result["elevation"]).max()) for result in results)
-    for axes, letter, color, record, result in zip(
-        series, "bcd", SERIES, records, results, strict=True
-    ):
-        axes.plot(result["time"], result["elevation"], color=color, linestyle="-")
-        axes.set(
-            title=f"({letter}) {record.case.name}, $T_p$ = {record.sea.peak_period:g} s",
-            xlabel="time (s)",
-            ylabel="elevation (m)",
-            xlim=(0, record.window),
-            ylim=(-1.1 * reach, 1.1 * reach),
-        )
     height, window = records[0].sea.significant_height, records[0].window
+    reach = max(float(abs(result["elevation"]).max()) for result in results)
+    figure, panels = plt.subplots(2, 2, figsize=(7.0, 4.4))
+    curves, *series = panels.ravel()
+    looks = zip(series, "bcd", SERIES, DASHES, strict=True)
+    for record, result, (axes, letter, color, dashes) in zip(records, results, looks, strict=True):
+        shown = result["frequency_hz"] <= CURVE_SHOWN_HZ
+        frequency, density = result["frequency_hz"][shown], result["density"][shown]
+        curves.plot(frequency, density, color=color, linestyle=dashes)
+        peak, beside = density.argmax(), {"xytext": (6, 0), "textcoords": "offset points"}
+        curves.annotate(record.case.name, (frequency[peak], density[peak]), va="center", **beside)
+        axes.plot(result["time"], result["elevation"], color=color, linestyle="-")
+        axes.set_title(f"({letter}) {record.case.name}, $T_p$ = {record.sea.peak_period:g} s")
+        axes.set(xlabel="time (s)", ylabel="elevation (m)")
+        axes.set(xlim=(0, window), ylim=(-1.1 * reach, 1.1 * reach))
+    curves.set(title=f"(a) JONSWAP, $H_s$ = {height:g} m", xlim=(0, CURVE_SHOWN_HZ))
+    curves.set(xlabel="frequency (Hz)", ylabel="density (m²/Hz)")
+    curves.set_ylim(bottom=0)
     periods = ", ".join(f"{r.sea.peak_period:g} s ({r.case.name})" for r in records)
     caption = (
         f"The three seas of the paper at a significant height of {height:g} m. (a) JONSWAP"
@@ -51,27 +49,3 @@ def draw(store: Store, parameters: ParameterSet) -> dict[str, Drawing]:
         " and below the mean level, quicker in W1 than in W3."
     )
     return {"spectra": Drawing(figure, caption, alt)}
-
-
-def _draw_curves(
-    axes: Axes, records: Sequence[SeaRecord], results: Sequence[dict[str, Any]]
-) -> None:
-    for record, result, color, dashes in zip(records, results, SERIES, DASHES, strict=True):
-        shown = result["frequency_hz"] <= CURVE_SHOWN_HZ
-        frequency, density = result["frequency_hz"][shown], result["density"][shown]
-        axes.plot(frequency, density, color=color, linestyle=dashes)
-        peak = density.argmax()
-        axes.annotate(
-            record.case.name,
-            (frequency[peak], density[peak]),
-            xytext=(6, 0),
-            textcoords="offset points",
-            verticalalignment="center",
-        )
-    axes.set(
-        title=f"(a) JONSWAP, $H_s$ = {records[0].sea.significant_height:g} m",
-        xlabel="frequency (Hz)",
-        ylabel="density (m²/Hz)",
-        xlim=(0, CURVE_SHOWN_HZ),
-    )
-    axes.set_ylim(bottom=0)

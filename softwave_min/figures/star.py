@@ -17,7 +17,7 @@ from softwave_min.experiments.closed_loop import TRANSIENT
 from softwave_min.experiments.star import EXPERIMENT, choice
 from softwave_min.experiments.star_loops import STILL
 from softwave_min.experiments.star_path import star_vertices
-from softwave_min.figures.marks import failure_sentence, legend_above, look, seas_sentence
+from softwave_min.figures.marks import beside, failure_sentence, legend_above, look, seas_sentence
 from softwave_min.figures.style import BLUE, DASHES, GREY, INK, ORANGE, SKY, Drawing
 from softwave_min.paper.numbers import CONTROLLER
 from softwave_min.parameters import ParameterSet
@@ -27,6 +27,7 @@ RunData = Mapping[str, NDArray[Any]]
 
 SHOWN_EVERY = 12.0
 """Time between two postures of the arm, in s."""
+LEGEND: Any = {"handlelength": 1.8, "handletextpad": 0.4, "columnspacing": 0.9}
 
 
 def draw(store: Store, parameters: ParameterSet) -> dict[str, Drawing]:
@@ -41,25 +42,20 @@ def draw(store: Store, parameters: ParameterSet) -> dict[str, Drawing]:
 
 
 def _trajectory(with_waves: RunData, calm: RunData, parameters: ParameterSet) -> Drawing:
-    base = np.array(parameters.arm.base_position)
     figure = plt.figure(figsize=(7.0, 5.4))
     halves = figure.add_gridspec(1, 2, width_ratios=(1.0, 1.25))
     column = halves[0].subgridspec(3, 1)
     top = figure.add_subplot(column[0])
-    others = [figure.add_subplot(column[row], sharex=top) for row in (1, 2)]
+    second, third = (figure.add_subplot(column[row], sharex=top) for row in (1, 2))
     plane = figure.add_subplot(halves[1])
-    for axes, axis, letter, panel in ((top, 0, "x", "(a)"), (others[0], 1, "z", "(b)")):
-        _coordinate(axes, with_waves, calm, axis, float(base[axis]))
-        axes.set_ylabel(f"{letter} from the base, m")
-        axes.set_title(panel)
+    for axes, axis, panel in ((top, 0, "(a)"), (second, 1, "(b)")):
+        _coordinate(axes, with_waves, calm, axis, parameters.arm.base_position[axis])
+        axes.set(ylabel=f"{'xz'[axis]} from the base, m", title=panel)
         axes.tick_params(labelbottom=False)
-    failed = _distances(others[1], with_waves, calm)
-    _plane(plane, with_waves, calm, Arm(parameters.arm, parameters.fluid), base)
-    chosen = choice()
-    median = {
-        name: 1000 * float(np.median(_error(data)[with_waves["time"] >= TRANSIENT]))
-        for name, data in (("waves", with_waves), ("calm", calm))
-    }
+    failed = _distances(third, with_waves, calm)
+    _plane(plane, with_waves, calm, Arm(parameters.arm, parameters.fluid))
+    chosen, settled = choice(), with_waves["time"] >= TRANSIENT
+    waves, still = (1000 * np.median(_error(data)[settled]) for data in (with_waves, calm))
     return Drawing(
         figure,
         caption=(
@@ -79,8 +75,7 @@ def _trajectory(with_waves: RunData, calm: RunData, parameters: ParameterSet) ->
         alt=(
             "Three time series and a picture of the plane. The tip starts right of the star at the "
             "arm's full length, swings over to its upper point, and then goes round. The median "
-            f"distance after the start is {median['waves']:.1f} mm with waves and "
-            f"{median['calm']:.1f} mm without."
+            f"distance after the start is {waves:.1f} mm with waves and {still:.1f} mm without."
         ),
     )
 
@@ -91,94 +86,81 @@ def _coordinate(axes: Axes, with_waves: RunData, calm: RunData, axis: int, base:
     series = ((with_waves, r"\tau", INK, DASHES[0]), (calm, "0", ORANGE, DASHES[2]))
     for data, subscript, colour, dash in series:
         label = f"${letter}_{subscript}$"
-        tip = data["nmpc_tip"][:, axis] - base
-        axes.plot(time, tip, color=colour, linestyle=dash, label=label)
-    legend_above(axes, handlelength=1.8, handletextpad=0.4, columnspacing=0.9)
+        axes.plot(time, data["nmpc_tip"][:, axis] - base, color=colour, linestyle=dash, label=label)
+    legend_above(axes, **LEGEND)
     axes.set_xlim(0, time[-1])
 
 
 def _error(data: RunData) -> NDArray[np.float64]:
-    offset = data["nmpc_tip"] - data["nmpc_target"]
-    distance: NDArray[np.float64] = np.hypot(offset[:, 0], offset[:, 1])
+    distance: NDArray[np.float64] = np.hypot(*(data["nmpc_tip"] - data["nmpc_target"]).T)
     return distance
 
 
 def _distances(axes: Axes, with_waves: RunData, calm: RunData) -> int:
+    """Draw the distances from the target, and count the failed solves, which are marked."""
     time = with_waves["time"]
     series = ((with_waves, r"$e_\tau$", INK, "-"), (calm, "$e_0$", ORANGE, DASHES[2]))
-    failed = 0
     for data, label, colour, dash in series:
-        error = _error(data)
+        error, failed = _error(data), np.flatnonzero(data["nmpc_status"] > 0)
         axes.semilogy(time, error, color=colour, linestyle=dash, label=label)
-        at = np.flatnonzero(data["nmpc_status"] > 0)
-        axes.plot(time[at], error[at], linestyle="none", marker="x", color=colour)
-        failed += len(at)
-    legend_above(axes, handlelength=1.8, handletextpad=0.4, columnspacing=0.9)
+        axes.plot(time[failed], error[failed], "x", linestyle="none", color=colour)
+    legend_above(axes, **LEGEND)
     axes.set_ylim(bottom=1e-5)
-    axes.set(xlabel="time, s", ylabel="distance, m")
-    axes.set_title("(c)")
-    return failed
+    axes.set(xlabel="time, s", ylabel="distance, m", title="(c)")
+    return sum(int(np.sum(data["nmpc_status"] > 0)) for data in (with_waves, calm))
 
 
-def _plane(
-    axes: Axes, with_waves: RunData, calm: RunData, arm: Arm, base: NDArray[np.float64]
-) -> None:
-    period = float(with_waves["time"][1])
+def _plane(axes: Axes, with_waves: RunData, calm: RunData, arm: Arm) -> None:
+    base = np.array(arm.parameters.base_position)
     star = star_vertices(choice().path)
     closed = np.vstack([star, star[:1]]) - base
-    shown = with_waves["nmpc_q"][:: round(SHOWN_EVERY / period)]
+    shown = with_waves["nmpc_q"][:: round(SHOWN_EVERY / float(with_waves["time"][1]))]
     for axis in arm.axis(shown) - base:
-        axes.plot(axis[:, 0], axis[:, 1], color=SKY, linestyle="-", linewidth=1.0, zorder=1)
+        axes.plot(*axis.T, color=SKY, linestyle="-", linewidth=1.0, zorder=1)
     for tips in arm.segment_tips(shown) - base:
-        axes.plot(tips[:, 0], tips[:, 1], linestyle="none", marker=".", color=SKY, markersize=4)
-    axes.plot(closed[:, 0], closed[:, 1], color=GREY, lw=3.0, label="desired")
+        axes.plot(*tips.T, ".", linestyle="none", color=SKY, markersize=4)
+    axes.plot(*closed.T, color=GREY, lw=3.0, label="desired")
     for data, label, colour, dash in (
         (with_waves, r"with waves, $\tau$", INK, DASHES[0]),
         (calm, "without, 0", ORANGE, DASHES[2]),
     ):
-        tip = data["nmpc_tip"] - base
-        axes.plot(tip[:, 0], tip[:, 1], color=colour, linestyle=dash, label=label)
+        axes.plot(*(data["nmpc_tip"] - base).T, color=colour, linestyle=dash, label=label)
     axes.plot(0, 0, marker="s", color=INK, markersize=5)
     axes.set_aspect("equal")
-    axes.set(xlabel="x from the base, m", ylabel="z from the base, m")
-    axes.set_title("(d)")
+    axes.set(xlabel="x from the base, m", ylabel="z from the base, m", title="(d)")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=1)
 
 
 def _errors(table: pd.DataFrame, headline: pd.DataFrame) -> Drawing:
     """RMSE of every sea, whole run and settled, beside the paper's."""
     chosen = choice()
-    waves = list(chosen.rmse)
-    names = list(dict.fromkeys(table["controller"]))
+    waves, names = list(chosen.rmse), list(table["controller"].unique())
     figure, panels = plt.subplots(1, 2, sharey=True, figsize=(7.0, 3.4))
+    of_seas = headline.set_index(["measure", "controller", "wave"]).sort_index()
+    calm = table[table.wave == STILL].groupby("controller").first()
+    words: list[str] = []
     for axes, measure in zip(panels, ("rmse", "rmse_settled"), strict=True):
+        found: list[str] = []
         for place, (name, marker) in enumerate(zip(names, cycle("soDv^"), strict=False)):
             label, colour = look(name).label, look(name).colour
-            x = np.arange(len(waves)) + 0.24 * (place - (len(names) - 1) / 2)
-            rows = headline[(headline.controller == name) & (headline.measure == measure)]
-            rows = rows.set_index("wave").loc[waves]
-            axes.vlines(x, rows.low, rows.high, color=colour, linewidth=2.2)
+            x = beside(len(waves), place, len(names), 0.24)
+            rows = of_seas.xs((measure, name)).loc[waves]
+            axes.vlines(x, rows["low"], rows["high"], color=colour, linewidth=2.2)
             axes.plot(x, rows["median"], marker, color=colour, linestyle="none", label=label)
-            calm = table[(table.wave == STILL) & (table.controller == name)][measure].iloc[0]
-            axes.axhline(
-                calm, color=colour, linestyle=DASHES[2], linewidth=1.0,
-                label=f"{label}, still water",
-            )  # fmt: skip
+            dots: Any = {"linestyle": DASHES[2], "linewidth": 1.0, "label": f"{label}, still water"}
+            axes.axhline(calm[measure][name], color=colour, **dots)
+            found.append(f"{label} {' / '.join(f'{one:.3f}' for one in rows['median'])}")
+        words.append(", ".join(found))
         if measure == "rmse":
-            axes.hlines(
-                list(chosen.rmse.values()), np.arange(len(waves)) - 0.3,
-                np.arange(len(waves)) + 0.3, color=BLUE, linewidth=2.0, linestyle=DASHES[1],
-                label=f"paper, {look(CONTROLLER).label}",
-            )  # fmt: skip
+            bars: Any = {"color": BLUE, "linewidth": 2.0, "linestyle": DASHES[1]}
+            x, label = beside(len(waves), 0, 1, 0), f"paper, {look(CONTROLLER).label}"
+            axes.hlines(list(chosen.rmse.values()), x - 0.3, x + 0.3, label=label, **bars)
         axes.set_yscale("log")
         axes.set_xlim(-0.5, len(waves) - 0.5)
         axes.set_xticks(range(len(waves)), waves)
-    panels[0].set_ylabel("RMSE of the distance, m")
-    panels[0].set_title("(a) whole run")
+    panels[0].set(ylabel="RMSE of the distance, m", title="(a) whole run")
     panels[1].set_title(f"(b) after {TRANSIENT:.0f} s")
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3)
-    words = [_in_words(headline, measure, names, waves) for measure in ("rmse", "rmse_settled")]
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return Drawing(
         figure,
         caption=(
@@ -192,13 +174,4 @@ def _errors(table: pd.DataFrame, headline: pd.DataFrame) -> Drawing:
             f"every controller. Medians in metres, whole run: {words[0]}; after "
             f"{TRANSIENT:.0f} s: {words[1]}."
         ),
-    )
-
-
-def _in_words(headline: pd.DataFrame, measure: str, names: list[str], waves: list[str]) -> str:
-    """Medians of the controllers, wave by wave."""
-    medians = headline[headline.measure == measure].set_index(["controller", "wave"])["median"]
-    return ", ".join(
-        f"{look(name).label} " + " / ".join(f"{medians[name, wave]:.3f}" for wave in waves)
-        for name in names
     )

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import matplotlib.pyplot as plt
-import pandas as pd
 
 from softwave_min.experiments.star_drag import LOADS
-from softwave_min.figures.marks import failure_sentence
+from softwave_min.figures.marks import beside, failure_sentence, name_groups
 from softwave_min.figures.style import INK, SKY, Drawing
 from softwave_min.parameters import ParameterSet
 from softwave_min.runs.store import Store
@@ -21,19 +20,16 @@ def draw(store: Store, parameters: ParameterSet) -> dict[str, Drawing]:  # noqa:
     figure, panels = plt.subplots(1, 2, figsize=(7.0, 2.8))
     spreads = []
     for axes, (column, title) in zip(panels, columns.items(), strict=True):
-        means = table.groupby(["load", "wave"], sort=False)[column].mean()
+        means = table.groupby(["load", "wave"], sort=False)[column].mean().unstack("load")
         for place, (load, colour) in enumerate(zip(LOADS, (SKY, INK), strict=True)):
             bars = means[load]
-            centres = [index + (place - 0.5) * WIDTH for index in range(len(bars))]
-            axes.bar(centres, bars, WIDTH, color=colour, label=load)
-            spreads.append(f"{load} {_spread(bars):.0f} %")
-        axes.set_xticks(range(len(bars)), list(bars.index))
+            axes.bar(beside(len(bars), place, 2, WIDTH), bars, WIDTH, color=colour, label=load)
+            spreads.append(f"{load} {100 * (bars.max() - bars.min()) / bars.mean():.0f} %")
         axes.set_title(title)
-        axes.grid(visible=False, axis="x")
+        name_groups(axes, means.index)
     panels[0].set_ylabel("RMSE, m")
-    figure.legend(
-        *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(LOADS)
-    )
+    handles, _ = panels[0].get_legend_handles_labels()
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(LOADS))
     caption = (
         "Error on the nominal star under NMPC with the textbook's load, with its drag and friction "
         "and without: (a) over the whole run, (b) after the start. If drag were why the error does "
@@ -46,7 +42,3 @@ def draw(store: Store, parameters: ParameterSet) -> dict[str, Drawing]:  # noqa:
         f"{spreads[3]} after the start."
     )
     return {"star_drag": Drawing(figure, caption, alt)}
-
-
-def _spread(values: pd.Series[float]) -> float:
-    return 100 * float((values.max() - values.min()) / values.mean())

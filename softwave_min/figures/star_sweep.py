@@ -5,12 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import matplotlib.pyplot as plt
-import numpy as np
-import pandas as pd
 
 from softwave_min.experiments.closed_loop import TRANSIENT
 from softwave_min.experiments.star import choice
-from softwave_min.experiments.star_path import StarParameters
 from softwave_min.figures.style import BLUE, INK, Drawing
 from softwave_min.paper.tolerance import SHARE
 from softwave_min.parameters import ParameterSet
@@ -26,31 +23,25 @@ SHOWN_MEASURES = {
 
 
 def draw(store: Store, parameters: ParameterSet) -> dict[str, Drawing]:  # noqa: ARG001
-    """One chart of all stars."""
-    return {"star_sweep": _sweep(store.read_table("star_sweep"))}
-
-
-def _sweep(table: pd.DataFrame) -> Drawing:
     """One line per star: its measures in the sea drawn, against the paper's numbers."""
-    chosen = choice()
-    keys = ["drawing", "manner", "laps", "previewed", "outer_radius"]
-    stars = table.groupby(keys, sort=False)
+    table, chosen = store.read_table("star_sweep"), choice()
     figure, axes = plt.subplots(figsize=(7.0, 6.4))
-    quoted = np.array(list(chosen.rmse.values()))
-    axes.axvspan(quoted.min() * (1 - SHARE), quoted.max() * (1 + SHARE), color="#ececec", zorder=0)
-    axes.axvspan(quoted.min(), quoted.max(), color="#cfcfcf", zorder=0)
-    labels = []
+    least, most = min(chosen.rmse.values()), max(chosen.rmse.values())
+    axes.axvspan(least * (1 - SHARE), most * (1 + SHARE), color="#ececec", zorder=0)
+    axes.axvspan(least, most, color="#cfcfcf", zorder=0)
+    stars = table.groupby(["drawing", "manner", "laps", "previewed", "outer_radius"], sort=False)
+    star, labels = chosen.path, []
+    own = star.drawing, star.manner, star.laps, True, star.outer_radius
     for row, (key, group) in enumerate(stars):
         values = group.set_index("measure")
         for measure, (marker, _) in reversed(SHOWN_MEASURES.items()):
-            agrees = bool(values.candidate[measure])
-            axes.plot(
-                values[chosen.case][measure], row, marker, color=BLUE if agrees else INK,
-                markerfacecolor=BLUE if agrees else "white", markersize=9 if agrees else 5,
-                markeredgecolor="white" if agrees and marker != "x" else None,
-            )  # fmt: skip
+            look: Any = {"color": INK, "mfc": "white", "markersize": 5}
+            if values.candidate[measure]:
+                edge = "white" if marker != "x" else None
+                look = {"color": BLUE, "mfc": BLUE, "mec": edge, "markersize": 9}
+            axes.plot(values[chosen.case][measure], row, marker, **look)
         failed = int(group.solves_failed.iloc[0])
-        nominal = "nominal: " if key == _key(chosen.path) else ""
+        nominal = "nominal: " if key == own else ""
         labels.append(nominal + _described(key) + (f" [{failed}]" if failed else ""))
     for marker, label in SHOWN_MEASURES.values():
         axes.plot([], [], marker, color=INK, markerfacecolor="white", label=label)
@@ -59,8 +50,7 @@ def _sweep(table: pd.DataFrame) -> Drawing:
     axes.set_xscale("log")
     axes.set_xlabel(f"measure of the error in {chosen.case}, m")
     figure.legend(loc="outside upper center", ncols=2)
-    agreeing = int(table.candidate.sum())
-    return Drawing(
+    drawing = Drawing(
         figure,
         caption=(
             "Which star gives the paper's numbers? One line per star: its drawing, how it is "
@@ -69,7 +59,7 @@ def _sweep(table: pd.DataFrame) -> Drawing:
             f"converge. Marks: measures of the error in {chosen.case}. Dark band: the paper's "
             f"numbers; light band: {100 * SHARE:.0f} % beyond them. Large filled marks: within "
             f"{100 * SHARE:.0f} % of the paper's number in each of the three seas "
-            f"({agreeing} of all {len(table)} combinations of star and measure)."
+            f"({table.candidate.sum()} of all {len(table)} combinations of star and measure)."
         ),
         alt=(
             f"A chart with {len(labels)} lines and {len(SHOWN_MEASURES)} kinds of marks on a "
@@ -78,10 +68,7 @@ def _sweep(table: pd.DataFrame) -> Drawing:
             "jumps and a reference that is held over the horizon move the marks to the right."
         ),
     )
-
-
-def _key(star: StarParameters) -> tuple[Any, ...]:
-    return star.drawing, star.manner, star.laps, True, star.outer_radius
+    return {"star_sweep": drawing}
 
 
 def _described(key: Any) -> str:

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, get_args, get_type_hints
 
-from softwave_min.paper.claims import Check, paper_entry
+from softwave_min.paper.claims import Check
+from softwave_min.paper.entries import paper_entry
 from softwave_min.paper.queries import Measured, Tables
 from softwave_min.parameters import ParameterSet
 from softwave_min.runs.store import Store

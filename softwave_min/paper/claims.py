@@ -18,6 +18,7 @@ from pydantic import ConfigDict, Field, Strict, model_validator
 from pydantic.dataclasses import dataclass
 
 from softwave_min.data import ParameterError, data_folder, read_toml
+from softwave_min.paper.entries import paper_entry
 from softwave_min.paper.queries import Measured, Query, Tables, tables_of
 from softwave_min.paper.tolerance import PERCENT, POINTS, SHARE
 from softwave_min.parameters import Real, validate
@@ -265,26 +266,6 @@ def missing_tables(root: Path, asked: Iterable[Claim] | None = None) -> list[str
     """Tables that the claims rest on and that are not in a results folder."""
     wanted = {table for claim in asked or claims() for table in claim.tables()}
     return sorted(name for name in wanted if not (root / f"{name}.csv").is_file())
-
-
-def data_entry(file: str, name: str) -> Any:
-    """An entry of a file in ``data/`` by its dotted name; positions in lists count from 0.
-
-    Raises
-    ------
-    LookupError
-        If there is no such entry.
-    """
-    found: Any = read_toml(data_folder() / file)
-    for part in name.split("."):
-        found = found[int(part) if isinstance(found, list) else part]
-    return found
-
-
-def paper_entry(place: str) -> Any:
-    """An entry of a file in ``data/paper/``: ``poses:P1``, ``error_ratio:reduction.W3.largest``."""
-    file, name = place.split(":")
-    return data_entry(f"paper/{file}.toml", name)
 
 
 def _with_paper_numbers(written: dict[str, Any]) -> dict[str, Any]:

@@ -59,9 +59,6 @@ class Experiment:
     """The runs under a parameter set."""
     tabulate: Callable[[ParameterSet, RunArrays], Tables]
     """Summary tables by stem, from the arrays of all runs by name."""
-    prepare: Callable[[Run], object] | None = None
-    """Called once with the first run, before processes share the work: compiles what
-    all of them need."""
     tolerances: Mapping[str, Tolerance] = field(default_factory=dict)
     """Within which a column of its tables is reproduced on another machine, by
     ``column`` or, for one table alone, ``table.column``. Elsewhere a number with a

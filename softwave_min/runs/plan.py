@@ -9,6 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from softwave_min.data import ParameterError
 from softwave_min.parameters import ParameterSet
 from softwave_min.runs.experiment import Experiment, Run
 from softwave_min.runs.identity import (
@@ -50,6 +51,15 @@ class Task:
         return self.experiment.runs(self.parameters)
 
     @cached_property
+    def refusal(self) -> str:
+        """Why the experiment cannot be run with the parameters; empty if it can."""
+        try:
+            _ = self.runs
+        except ParameterError as error:
+            return str(error)
+        return ""
+
+    @cached_property
     def missing(self) -> list[Run]:
         """Runs that are not here."""
         return [run for run in self.runs if not self.store.has(run)]
@@ -73,7 +83,7 @@ class Task:
         recorded = _recorded(record, "figures")
         now = figures_identity(
             self.experiment.name,
-            _identity_of_tables(record).digest,
+            Identity(_recorded(record, "tables")).digest,
             _read(recorded),
             self.store.root,
         )
@@ -159,10 +169,6 @@ def _numerical(*modules: str) -> frozenset[str]:
 def _recorded(record: Mapping[str, Any], what: str) -> dict[str, Any]:
     parts: dict[str, Any] = record.get("identity", {}).get(what, {})
     return parts
-
-
-def _identity_of_tables(record: Mapping[str, Any]) -> Identity:
-    return Identity(_recorded(record, "tables"))
 
 
 def _read(recorded: Mapping[str, Any]) -> Iterable[str]:

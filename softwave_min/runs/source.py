@@ -29,12 +29,6 @@ def source_digests(*modules: str) -> dict[str, str]:
     return {path.relative_to(ROOT).as_posix(): _digest(path) for path in source_files(modules)}
 
 
-@cache
-def source_digest(*modules: str) -> str:
-    """SHA-256 over all of `source_digests`."""
-    return hashlib.sha256(repr(source_digests(*modules)).encode()).hexdigest()
-
-
 def source_files(modules: Iterable[str]) -> list[Path]:
     """Files of this package that the named modules are made of, sorted.
 

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 INTERVAL = (0.05, 0.5, 0.95)
 """Quantiles over the random seas: a 90 % interval and its median."""
+NAMES = ("low", "median", "high")
 
 
 def over_seas(values: ArrayLike) -> tuple[float, float, float]:
@@ -21,17 +22,15 @@ def over_seas(values: ArrayLike) -> tuple[float, float, float]:
     return low, median, high
 
 
-def interval(values: ArrayLike, name: str = "median", prefix: str = "") -> dict[str, float]:
-    """The median under ``name``, and the ends of its interval, as columns of a table."""
-    low, median, high = over_seas(values)
-    return {f"{prefix}low": low, name: median, f"{prefix}high": high}
+def interval(values: ArrayLike) -> dict[str, float]:
+    """``low``, ``median`` and ``high`` of a number, as `over_seas` has them."""
+    return dict(zip(NAMES, over_seas(values), strict=True))
 
 
 def intervals_of(groups: SeriesGroupBy[Any, Any]) -> pd.DataFrame:
     """``low``, ``median`` and ``high`` of each group, as `over_seas` has them."""
-    names = ("low", "median", "high")
     return pd.DataFrame(
-        {name: groups.quantile(level) for name, level in zip(names, INTERVAL, strict=True)}
+        {name: groups.quantile(level) for name, level in zip(NAMES, INTERVAL, strict=True)}
     )
 
 

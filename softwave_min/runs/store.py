@@ -3,10 +3,13 @@
 ``results/<experiment>/`` holds
 
 - ``<table>.csv`` and ``<figure>.svg``, committed;
-- ``provenance.json``, committed: what determined them, and on what they ran;
-- ``runs/<name>-<identity>.npz``, not committed: one file per run, so that an
+- ``provenance.json``, committed: what determined them, and on what they ran.
+
+``results/runs/``, not committed, holds
+
+- ``<identity>.npz``: one file per run, whichever experiments it belongs to, so that an
   interrupted experiment resumes and a fresh clone computes everything itself;
-- ``runs/tables/``, not committed: the tables as they were made here. Where they agree with the
+- ``tables/<experiment>/``: the tables as they were made here. Where they agree with the
   committed ones, those stay as they are.
 """
 
@@ -20,13 +23,13 @@ import platform
 import subprocess
 import tempfile
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,7 +72,7 @@ class Store:
     @property
     def made(self) -> Store:
         """The tables as they were made here."""
-        return Store("tables", self.folder / "runs")
+        return Store(self.experiment, self.root / "runs" / "tables")
 
     def latest(self) -> Store:
         """The tables made here where they are of the same inputs as those that are committed."""
@@ -78,54 +81,37 @@ class Store:
 
     def run_path(self, run: Run) -> Path:
         """File of one run."""
-        return self.folder / "runs" / f"{run.name}-{run.identity[:16]}.npz"
+        return self.root / "runs" / f"{run.identity}.npz"
 
     def has(self, run: Run) -> bool:
-        """Whether the run was computed as it is defined now, and its file is whole."""
-        return _whole(self.run_path(run)) is not None
-
-    def adopt(self, runs: Sequence[Run]) -> list[Run]:
-        """Copy what experiments beside this one have computed under names of their own.
-
-        Returns
-        -------
-        list of Run
-            Those that are still not here.
-        """
-        beside = {
-            path.stem.rpartition("-")[2]: path for path in sorted(self.root.glob("*/runs/*.npz"))
-        }
-        left = []
-        for run in runs:
-            path = self.run_path(run)
-            found = _whole(beside.get(path.stem.rpartition("-")[2], path))
-            if found and found.record.get("identity") == run.identity:
-                _write_run(path, found)
-            else:
-                left.append(run)
-        return left
+        """Whether the run is here, and whole; to ask for it is to use it."""
+        path = self.run_path(run)
+        try:
+            content: str = self.run_record(run)["content"]
+            same = content == sha256(path.read_bytes()).hexdigest()
+        except (OSError, ValueError, KeyError):
+            return False
+        for used in (path, path.with_suffix(".json")):
+            with contextlib.suppress(OSError):  # of another user
+                os.utime(used)
+        return same
 
     def save_run(self, run: Run, arrays: Arrays, record: Mapping[str, Any]) -> None:
         """Write a run's arrays; ``record`` is their provenance."""
         buffer = io.BytesIO()
         np.savez_compressed(buffer, allow_pickle=False, **arrays)
-        content = buffer.getvalue()
+        content, path = buffer.getvalue(), self.run_path(run)
+        # First the record: arrays without it would count as computed.
         mark = {"content": sha256(content).hexdigest()}
-        _write_run(self.run_path(run), _RunFiles({**record, **mark}, content))
+        write_atomically(path.with_suffix(".json"), _json({**record, **mark}))
+        write_atomically(path, content)
 
-    def tidy(self, runs: Iterable[Run]) -> None:
-        """Drop the runs that were not asked for in a long time, and what dead writers left.
-
-        A folder may hold the runs of several parameter sets, so that a run which is none of
-        ``runs`` may still be of use: whoever asks for it marks it as used.
-        """
-        now = time.time()
-        for path in map(self.run_path, runs):
-            for used in (path, path.with_suffix(".json")):
-                with contextlib.suppress(FileNotFoundError):
-                    os.utime(used)
-        _drop(self.folder.glob("runs/*-*.*"), before=now - KEPT)
-        _drop(self.folder.rglob(f"{UNFINISHED}*"), before=now - HOUR)  # no writer takes that long
+    def tidy(self) -> None:
+        """Drop the runs that nobody asked for in a long time, and what dead writers left."""
+        runs = self.root / "runs"
+        _drop(runs.glob("*.*"), before=time.time() - KEPT)
+        for folder in (runs, self.folder, self.made.folder):  # no writer takes an hour
+            _drop(folder.glob(f"{UNFINISHED}*"), before=time.time() - HOUR)
 
     def files(self) -> list[Path]:
         """Tables, figures and provenance: all but the runs."""
@@ -215,30 +201,6 @@ def _drop(paths: Iterable[Path], before: float) -> None:
         with contextlib.suppress(FileNotFoundError):
             if path.stat().st_mtime < before:
                 path.unlink()
-
-
-class _RunFiles(NamedTuple):
-    """The two files of a run."""
-
-    record: Mapping[str, Any]
-    content: bytes
-
-
-def _whole(path: Path) -> _RunFiles | None:
-    """Read the two files of a run; None unless both are there and belong together."""
-    try:
-        content = path.read_bytes()
-        record = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
-        same = record["content"] == sha256(content).hexdigest()
-    except (OSError, ValueError, KeyError):
-        return None
-    return _RunFiles(record, content) if same else None
-
-
-def _write_run(path: Path, files: _RunFiles) -> None:
-    """Write the record first: arrays without it would count as computed."""
-    write_atomically(path.with_suffix(".json"), _json(files.record))
-    write_atomically(path, files.content)
 
 
 def _json(record: Mapping[str, Any]) -> bytes:

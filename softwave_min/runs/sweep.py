@@ -11,9 +11,10 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
@@ -110,35 +111,14 @@ class _Share:
     """What an experiment has of a sweep."""
 
     task: Task
-    missing: Sequence[Run]
-    prepared: Future[object] | None = None
-    """To be waited for before its runs are computed."""
-    failures: dict[str, str] = field(default_factory=dict)
-    """Why there is no result, by the run's name."""
-    arrived: int = 0
+    missing: Mapping[str, Path]
+    """The file of each run that is not here, by the run's name."""
+    left: set[Path]
+    """Those that are still to be computed."""
+    failures: dict[Path, str] = field(default_factory=dict)
+    """Why there is none."""
     computed: int = 0
     started: float = math.inf
-
-    @property
-    def is_over(self) -> bool:
-        return self.arrived == len(self.missing)
-
-    def count(self, outcome: Outcome) -> None:
-        """Count a run that was computed for this experiment."""
-        self.computed += 1
-        self.started = min(self.started, time.perf_counter() - outcome.seconds)
-
-    def take(self, run: Run, outcome: Outcome) -> None:
-        """Save a run, or note why there is none."""
-        self.arrived += 1
-        if outcome.failure:
-            self.failures[run.name] = outcome.failure
-        else:
-            self.task.store.save_run(run, outcome.arrays, _run_record(run, outcome))
-
-
-Takers = list[tuple[_Share, Run]]
-"""Those who want a run: it may have another name in each experiment."""
 
 
 def compute(
@@ -167,76 +147,55 @@ def compute_all(
     Swept
         Each experiment as soon as it has its tables, or all its runs and some of them failed.
     """
-    aside = ThreadPoolExecutor(1)
-    try:
-        shares = [_share(task, aside if executor.here else None) for task in plan]
-        yield from (_over(share, record) for share in shares if share.is_over)
-        for touched in _taken(shares, executor):
-            yield from (_over(share, record) for share in touched if share.is_over)
-    finally:  # an error shall not wait for what nobody needs any more
-        aside.shutdown(wait=False, cancel_futures=True)
-
-
-def _taken(shares: Sequence[_Share], executor: Executor) -> Iterator[list[_Share]]:
-    """Compute what is missing and give it to all who want it; those, after each run."""
-    wanted: dict[str, Takers] = {}
-    for share in shares:
-        for run in share.missing:
-            wanted.setdefault(run.identity, []).append((share, run))
+    runs = {task.store.run_path(run): (task.store, run) for task in plan for run in task.missing}
+    shares = []
+    for task in plan:
+        missing = {run.name: task.store.run_path(run) for run in task.missing}
+        shares.append(_Share(task, missing, set(missing.values())))
+    yield from (_over(share, record) for share in shares if not share.missing)
     with _bar(shares) as bar:
-        for takers, outcome in _outcomes(list(wanted.values()), executor):
-            takers[0][0].count(outcome)
-            for share, run in takers:
-                share.take(run, outcome)
-                bar.set_description(share.task.experiment.name, refresh=False)
+        for path, outcome in _computed({path: run for path, (_, run) in runs.items()}, executor):
+            if not outcome.failure:
+                store, run = runs[path]
+                store.save_run(run, outcome.arrays, _run_record(run, outcome))
+            takers = [share for share in shares if path in share.left]
+            _count(takers, path, outcome)
+            bar.set_description(takers[0].task.experiment.name, refresh=False)
             bar.set_postfix(failed=sum(len(one.failures) for one in shares), refresh=False)
-            bar.update(len(takers))
-            yield [share for share in shares if any(share is taker for taker, _ in takers)]
+            bar.update()
+            yield from (_over(share, record) for share in takers if not share.left)
 
 
-def _share(task: Task, aside: ThreadPoolExecutor | None) -> _Share:
-    """Take over what experiments beside have, and have prepared ``aside`` what the rest needs."""
-    missing = task.store.adopt(task.missing)
-    share = _Share(task, missing)
-    if aside and missing and task.experiment.prepare is not None:
-        share.prepared = aside.submit(task.experiment.prepare, missing[0])
-    return share
+def _count(takers: Sequence[_Share], path: Path, outcome: Outcome) -> None:
+    """Tell all who want a run what came of it; it was computed for the first of them."""
+    for share in takers:
+        share.left.remove(path)
+        if outcome.failure:
+            share.failures[path] = outcome.failure
+    takers[0].computed += 1
+    takers[0].started = min(takers[0].started, time.perf_counter() - outcome.seconds)
 
 
 def _bar(shares: Sequence[_Share]) -> tqdm[NoReturn]:
-    total, missing = (
-        sum(len(runs) for runs in every)
-        for every in ([one.task.runs for one in shares], [one.missing for one in shares])
-    )
+    paths = {share.task.store.run_path(run) for share in shares for run in share.task.runs}
+    missing = set().union(*(share.left for share in shares))
     return tqdm(
-        total=total,
-        initial=total - missing,
+        total=len(paths),
+        initial=len(paths) - len(missing),
         unit="run",
         disable=not missing or not sys.stderr.isatty(),
     )
 
 
-def _outcomes(wanted: Sequence[Takers], executor: Executor) -> Iterator[tuple[Takers, Outcome]]:
-    """Compute what is wanted; first what need not wait for a preparation."""
-    waits = [[share.prepared for share, _ in takers if share.prepared] for takers in wanted]
-    at_once = [takers for takers, wait in zip(wanted, waits, strict=True) if not wait]
-    then = [takers for takers, wait in zip(wanted, waits, strict=True) if wait]
-    yield from _computed(at_once, executor)
-    for wait in waits:
-        for prepared in wait:
-            prepared.result()
-    yield from _computed(then, executor)
-
-
-def _computed(wanted: Sequence[Takers], executor: Executor) -> Iterator[tuple[Takers, Outcome]]:
-    runs = [takers[0][1] for takers in wanted]
-    calls = [(run.compute, run.parameters, run.identity) for run in runs]
+def _computed(wanted: Mapping[Path, Run], executor: Executor) -> Iterator[tuple[Path, Outcome]]:
+    paths = list(wanted)
+    calls = [(run.compute, run.parameters, run.identity) for run in wanted.values()]
     for index, future in completed(executor, attempt, calls):
         try:
             outcome: Outcome = future.result()
         except Exception as error:  # of the worker, not of the run
             outcome = Outcome({}, 0.0, "", in_a_line(error))
-        yield wanted[index], outcome
+        yield paths[index], outcome
 
 
 def _over(share: _Share, record: bool) -> Swept:
@@ -244,12 +203,12 @@ def _over(share: _Share, record: bool) -> Swept:
     task, name = share.task, share.task.experiment.name
     now = time.perf_counter()
     seconds = now - min(now, share.started)
-    task.store.tidy(task.runs)
+    task.store.tidy()
     if share.failures:
-        first = next(run.name for run in share.missing if run.name in share.failures)
+        failed = [run for run, path in share.missing.items() if path in share.failures]
         failure = (
-            f"{name}: {len(share.failures)} of {len(task.runs)} runs failed, "
-            f"the others are kept; first {first}: {share.failures[first]}"
+            f"{name}: {len(failed)} of {len(task.runs)} runs failed, the others are kept; "
+            f"first {failed[0]}: {share.failures[share.missing[failed[0]]]}"
         )
         return Swept(task, share.computed, seconds, failure)
     published = False

@@ -103,14 +103,8 @@ def _in_particular(record: dict[str, Any], common: dict[str, Any]) -> dict[str, 
 def _reduced(tree: Any, common: dict[str, Any]) -> Any:
     if not isinstance(tree, dict):
         return tree
-    if tree.keys() == common.keys():
-        return _changes(tree, common)
-    return {key: _reduced(value, common) for key, value in tree.items()}
-
-
-def _changes(tree: dict[str, Any], common: dict[str, Any]) -> dict[str, Any]:
+    if tree.keys() != common.keys():
+        return {key: _reduced(value, common) for key, value in tree.items()}
     return {
-        key: _changes(value, common[key]) if isinstance(value, dict) else value
-        for key, value in tree.items()
-        if value != common[key]
+        key: _reduced(value, common[key]) for key, value in tree.items() if value != common[key]
     }

@@ -23,13 +23,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import tomlkit
-from numpy.typing import NDArray
 from pydantic import ConfigDict
 from pydantic.dataclasses import dataclass as validated
 
 from softwave_min.data import ParameterError, data_folder, read_toml
-from softwave_min.experiments.closed_loop import prepare
-from softwave_min.paper.claims import claims
+from softwave_min.paper.entries import paper_entry
 from softwave_min.parameters import (
     Count,
     ParameterSet,
@@ -55,8 +53,6 @@ from softwave_min.studies.ranges import (
     value_in,
     with_values,
 )
-
-Floats = NDArray[np.float64]
 
 START = "physical"
 """The set that the search starts from."""
@@ -93,13 +89,11 @@ class Search:
 
 
 def search_settings() -> Search:
-    """What data/studies/calibration.toml fixes, with the numbers of the claims that it names."""
+    """What data/studies/calibration.toml fixes, with the paper's numbers that it refers to."""
     path = data_folder() / "studies" / "calibration.toml"
-    entries, cited = read_toml(path), {claim.id: claim for claim in claims()}
+    entries = read_toml(path)
     for number in entries["number"]:
-        claim = cited[number["claim"]]
-        if claim.paper is not None:
-            number |= {"paper": claim.paper, "at_most": claim.test == "at_most"}
+        number["paper"] = paper_entry(number["paper"])
     return validate(Search, entries, source=path)
 
 
@@ -134,11 +128,8 @@ def best_of(evaluations: pd.DataFrame) -> pd.Series:
 
 
 def best_set_text(evaluations: pd.DataFrame, folder: Path) -> str:
-    """TOML text of the best set of the record: that of the starting set in ``folder``, with
-    the values found.
-    """
-    best = best_of(evaluations)
-    fields = open_fields()
+    """TOML text of the record's best set: that of the start in ``folder``, with its values."""
+    best, fields = best_of(evaluations), open_fields()
     found = with_values(parameter_set(START), {field: float(best[field]) for field in fields})
     text = set_text((folder / f"{START}.toml").read_text(encoding="utf-8"), found, fields)
     return text.replace(f"# The {START} parameter set.", CALIBRATED_HEADER, 1)
@@ -168,7 +159,7 @@ def calibrate(store: Store, workers: Executor, search: Search) -> pd.DataFrame:
         warnings.simplefilter("ignore")
         import cma  # noqa: PLC0415
 
-    values, start, cells = plausible_ranges(), parameter_set(START), headline_cells()
+    values, start = plausible_ranges(), parameter_set(START)
     first = np.array([value.share(value_in(start, value.field)) for value in values])
     strategy = cma.CMAEvolutionStrategy(
         np.clip(first, 0, 1),
@@ -181,28 +172,23 @@ def calibrate(store: Store, workers: Executor, search: Search) -> pd.DataFrame:
             "verb_log": 0,
         },
     )
-    runs = [Run("0-0", headline_numbers, HeadlineRun(start, cells))]
+    runs = [_run("0-0", start)]
     table = _evaluated(runs, store, workers, search)
     for generation in range(1, search.generations + 1):
-        shares = strategy.ask()
-        runs += [
-            Run(
-                f"{generation}-{index}",
-                headline_numbers,
-                HeadlineRun(_at(one, start, values), cells),
-            )
-            for index, one in enumerate(shares)
-        ]
+        population = strategy.ask()
+        for index, shares in enumerate(population):
+            chosen = {
+                value.field: rounded(value.at(share))
+                for value, share in zip(values, shares, strict=True)
+            }
+            runs.append(_run(f"{generation}-{index}", with_values(start, chosen)))
         table = _evaluated(runs, store, workers, search)
-        strategy.tell(shares, table["objective"].to_list()[-len(shares) :])
+        strategy.tell(population, table["objective"].to_list()[-len(population) :])
     return table
 
 
-def _at(shares: Floats, start: ParameterSet, values: Sequence[PlausibleRange]) -> ParameterSet:
-    chosen = {
-        value.field: rounded(value.at(share)) for value, share in zip(values, shares, strict=True)
-    }
-    return with_values(start, chosen)
+def _run(name: str, parameters: ParameterSet) -> Run:
+    return Run(name, headline_numbers, HeadlineRun(parameters, headline_cells()))
 
 
 def _evaluated(
@@ -215,27 +201,21 @@ def _evaluated(
         claims=tuple(one.claim for one in search.number),
         runs=lambda _: runs,
         tabulate=lambda _, arrays: _tables(runs, search, arrays),
-        prepare=prepare,
     )
     compute(generation, parameter_set(START), store, workers)
     return store.read_table("evaluations")
 
 
 def _tables(runs: Sequence[Run], search: Search, arrays: RunArrays) -> Tables:
-    rows: list[dict[str, float | int]] = []
+    rows = []
     for run in runs:
         generation, index = map(int, run.name.split("-"))
         numbers = {name: float(value) for name, value in arrays[run.name].items()}
         failed = int(numbers.pop("solves_failed"))
         rows.append(
-            {
-                "generation": generation,
-                "index": index,
-                "objective": objective(numbers, search),
-                **{name: value_in(run.parameters.parameters, name) for name in open_fields()},
-                **numbers,
-                "solves_failed": failed,
-            }
+            {"generation": generation, "index": index, "objective": objective(numbers, search)}
+            | {name: value_in(run.parameters.parameters, name) for name in open_fields()}
+            | {**numbers, "solves_failed": failed}
         )
     evaluations = pd.DataFrame(rows)
     return {"evaluations": evaluations, "flatness": flatness(evaluations, plausible_ranges())}
@@ -247,20 +227,19 @@ def flatness(evaluations: pd.DataFrame, values: Sequence[PlausibleRange]) -> pd.
     ``share`` is the width of that interval as a share of the plausible range: near 1, the
     paper's numbers do not pin the value down.
     """
-    objectives = evaluations["objective"].to_numpy(float)
     best = best_of(evaluations)
-    near = evaluations[objectives <= objectives.min() + NEAR]
+    near = evaluations[evaluations["objective"] <= best["objective"] + NEAR]
     rows = []
     for value in values:
-        low, high = float(near[value.field].min()), float(near[value.field].max())
+        low, high = near[value.field].min(), near[value.field].max()
         rows.append(
             {
                 "field": value.field,
                 "unit": value.unit,
                 "range_low": value.low,
                 "range_high": value.high,
-                "start": float(evaluations[value.field].iloc[0]),
-                "best": float(best[value.field]),
+                "start": evaluations[value.field].iloc[0],
+                "best": best[value.field],
                 "near_low": low,
                 "near_high": high,
                 "share": value.share(high) - value.share(low),

@@ -7,9 +7,7 @@ here reads a file; `cells` says which closed loops are meant.
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -20,12 +18,7 @@ from softwave_min.experiments.closed_loop import LoopRun, scenario_of, with_fail
 from softwave_min.experiments.star_loops import scenario_on_star
 from softwave_min.experiments.star_path import StarParameters
 from softwave_min.parameters import ParameterSet
-from softwave_min.simulation import (
-    ClosedLoop,
-    SimulationError,
-    root_mean_square_error,
-    simulate,
-)
+from softwave_min.simulation import ClosedLoop, SimulationError, root_mean_square_error, simulate
 
 Cell = tuple[tuple[float, float], float]
 """Desired tip and significant height, in m."""
@@ -68,32 +61,40 @@ class HeadlineRun:
 
 
 def headline_numbers(run: HeadlineRun) -> dict[str, NDArray[Any]]:
-    """The numbers of a set by name, and how many solves did not converge.
+    """The numbers of a set by name, and how many solves did not converge: scalars.
 
-    Returns
-    -------
-    dict of scalars
-        For each wave case ``largest_reduction_*`` and ``lowest_reduction_*`` over the grid in
-        per cent, ``rise_*`` of the error after the failure in per cent, and ``star_*``, the
-        RMSE on the star's path in m; ``rise``, their mean, and ``rise_spread``, their range;
-        ``cells_below_one``, the per cent of cells in which the NMPC is better;
-        ``solves_failed``.
+    For each wave case ``largest_reduction_*`` and ``lowest_reduction_*`` over the grid in
+    per cent, ``rise_*`` of the error after the failure in per cent, and ``star_*``, the RMSE
+    on the star's path in m; ``rise``, the mean of the rises, and ``rise_spread``, their range;
+    ``cells_below_one``, the per cent of cells in which the NMPC is better; ``solves_failed``.
     """
-    tally = _Tally()
+    loops, cells = _Loops(run), run.cells
     numbers: dict[str, float] = {}
-    ratios: dict[str, list[float]] = {}
-    for case, period in run.cells.peak_periods:
-        ratios[case] = list(_ratios(run, period, tally))
-        numbers[f"largest_reduction_{case}"] = 100 * (1 - min(ratios[case]))
-        numbers[f"lowest_reduction_{case}"] = 100 * (1 - max(ratios[case]))
-        numbers[f"rise_{case}"] = float(np.mean(list(_rises(run, period, tally))))
-        numbers[f"star_{case}"] = _star_error(run, period, tally)
-    rises = [numbers[f"rise_{case}"] for case in ratios]
-    numbers["rise"] = float(np.mean(rises))
-    numbers["rise_spread"] = max(rises) - min(rises)
-    numbers["cells_below_one"] = 100 * float(np.mean(np.concatenate(list(ratios.values())) < 1))
-    found: dict[str, NDArray[Any]] = {name: np.array(value) for name, value in numbers.items()}
-    return {**found, "solves_failed": np.array(tally.failed)}
+    ratios: list[float] = []
+    rises: list[float] = []
+    for case, period in cells.peak_periods:
+        here = [
+            loops.error(period, one) / loops.error(period, one, "baseline") for one in cells.grid
+        ]
+        after = [
+            100 * (loops.error(period, one, failed=True) / loops.error(period, one) - 1)
+            for one in cells.failures
+        ]
+        ratios += here
+        rises.append(float(np.mean(after)))
+        numbers |= {
+            f"largest_reduction_{case}": 100 * (1 - min(here)),
+            f"lowest_reduction_{case}": 100 * (1 - max(here)),
+            f"rise_{case}": rises[-1],
+            f"star_{case}": loops.star_error(period),
+        }
+    numbers |= {
+        "rise": float(np.mean(rises)),
+        "rise_spread": max(rises) - min(rises),
+        "cells_below_one": 100 * float(np.mean(np.array(ratios) < 1)),
+        "solves_failed": loops.failed,
+    }
+    return {name: np.array(value) for name, value in numbers.items()}
 
 
 def attempted_numbers(run: HeadlineRun) -> dict[str, NDArray[Any]]:
@@ -105,40 +106,33 @@ def attempted_numbers(run: HeadlineRun) -> dict[str, NDArray[Any]]:
 
 
 @dataclass
-class _Tally:
+class _Loops:
     """Closed loops so far, each run once, and the solves that did not converge."""
 
+    run: HeadlineRun
     failed: int = 0
-    errors: dict[tuple[LoopRun, str], float] = dataclasses.field(default_factory=dict)
+    errors: dict[tuple[LoopRun, str], float] = field(default_factory=dict)
 
-    def error(self, run: LoopRun, controller: str) -> float:
-        """RMSE of a closed loop over the whole run, in m."""
-        key = (run, controller)
-        if key not in self.errors:
-            self.errors[key] = self.error_of(simulate(scenario_of(run), controller))
-        return self.errors[key]
+    def error(
+        self, period: float, cell: Cell, controller: str = "nmpc", *, failed: bool = False
+    ) -> float:
+        """RMSE over the whole run, in m; ``failed`` is with the failed segment."""
+        target, height = cell
+        parameters = self.run.in_sea(period, height)
+        if failed:
+            manner = parameters.failure.manner
+            parameters = with_failure(parameters, self.run.cells.failed_segment, manner)
+        loop = LoopRun(parameters, (target,))
+        if (loop, controller) not in self.errors:
+            found = simulate(scenario_of(loop), controller)
+            self.errors[loop, controller] = self._error_of(found)
+        return self.errors[loop, controller]
 
-    def error_of(self, loop: ClosedLoop) -> float:
-        """RMSE of a loop that is run once anyway."""
+    def star_error(self, period: float) -> float:
+        """RMSE on the star under NMPC, in m."""
+        parameters = self.run.in_sea(period, self.run.cells.star_height)
+        return self._error_of(simulate(scenario_on_star(parameters, self.run.cells.star), "nmpc"))
+
+    def _error_of(self, loop: ClosedLoop) -> float:
         self.failed += int(np.count_nonzero(loop.status > 0))
         return root_mean_square_error(loop.error)
-
-
-def _ratios(run: HeadlineRun, period: float, tally: _Tally) -> Iterator[float]:
-    for target, height in run.cells.grid:
-        cell = LoopRun(run.in_sea(period, height), (target,))
-        yield tally.error(cell, "nmpc") / tally.error(cell, "baseline")
-
-
-def _rises(run: HeadlineRun, period: float, tally: _Tally) -> Iterator[float]:
-    for target, height in run.cells.failures:
-        cell = LoopRun(run.in_sea(period, height), (target,))
-        manner = run.parameters.failure.manner
-        failed = with_failure(cell.parameters, run.cells.failed_segment, manner)
-        before = tally.error(cell, "nmpc")
-        yield 100 * (tally.error(replace(cell, parameters=failed), "nmpc") / before - 1)
-
-
-def _star_error(run: HeadlineRun, period: float, tally: _Tally) -> float:
-    parameters = run.in_sea(period, run.cells.star_height)
-    return tally.error_of(simulate(scenario_on_star(parameters, run.cells.star), "nmpc"))

@@ -9,7 +9,6 @@ reproduced.
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,14 +19,13 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from softwave_min.data import ParameterError
-from softwave_min.experiments.closed_loop import prepare
 from softwave_min.experiments.places import in_realisation
 from softwave_min.paper.cases import poses, wave_cases
 from softwave_min.paper.open_points import open_points
 from softwave_min.paper.tolerance import PERCENT, tolerance
 from softwave_min.parameters import ParameterSet
 from softwave_min.runs.experiment import Experiment, Run, RunArrays, Tables, Tolerance
-from softwave_min.runs.statistics import over_seas
+from softwave_min.runs.statistics import interval
 from softwave_min.studies.calibration import search_settings
 from softwave_min.studies.cells import headline_cells, with_bounded_solves
 from softwave_min.studies.headlines import HeadlineRun, attempted_numbers, headline_numbers
@@ -83,18 +81,6 @@ class Alternative:
     def written(self) -> str:
         """The value as in a parameter file; text without quotation marks."""
         return self.value if isinstance(self.value, str) else json.dumps(self.value)
-
-
-@dataclass(frozen=True)
-class _Effect:
-    """What came of an alternative."""
-
-    status: str
-    nominal: Mapping[str, Floats] = dataclasses.field(default_factory=dict)
-    """By number, (seas,) each."""
-    other: Mapping[str, Floats] = dataclasses.field(default_factory=dict)
-    seconds: float = 0.0
-    """Duration of the loops."""
 
 
 def alternatives(parameters: ParameterSet) -> list[Alternative]:
@@ -188,42 +174,10 @@ def tabulate(parameters: ParameterSet, arrays: RunArrays) -> Tables:
     """Tables ``effects``, ``points`` and ``scatter``."""
     nominal, others = _one_sea(parameters), alternatives(parameters)
     of = {run: arrays[one.name] for run, one in _distinct(parameters).items()}
-    scatter = _scatter_table(
-        [of[loops(nominal, "", offset)] for offset in range(_scatter_seas(others))]
-    )
-    effects = _effect_table([(one, _effect(one, nominal, of)) for one in others], scatter)
+    seas = [of[loops(nominal, "", offset)] for offset in range(_scatter_seas(others))]
+    scatter = _scatter_table(_stacked(seas))
+    effects = pd.DataFrame(row for one in others for row in _effects(one, nominal, of, scatter))
     return {"effects": effects, "points": _point_table(effects, scatter), "scatter": scatter}
-
-
-def _scatter_table(found: Sequence[Numbers]) -> pd.DataFrame:
-    """What another sea does to each of the nominal numbers: their 90 % interval.
-
-    ``scatter`` is half of it; ``allowance`` is that or the tolerance of a claim, if larger.
-    """
-    papers = {one.name: one.paper for one in search_settings().number if not one.at_most}
-    rows = []
-    for number, values in _stacked(found).items():
-        if number == FAILED:
-            continue
-        low, median, high = over_seas(values)
-        group = group_of(number)
-        unit, paper = GROUPS.get(group, "points"), papers.get(number)
-        widest = tolerance(paper or 0.0, PERCENT if unit == "points" else unit)
-        rows.append(
-            {
-                "number": number,
-                "group": group,
-                "unit": unit,
-                "paper": paper,
-                "seas": len(values),
-                "low": low,
-                "median": median,
-                "high": high,
-                "scatter": (high - low) / 2,
-                "allowance": max((high - low) / 2, widest),
-            }
-        )
-    return pd.DataFrame(rows)
 
 
 def _stacked(found: Sequence[Numbers]) -> dict[str, Floats]:
@@ -231,61 +185,90 @@ def _stacked(found: Sequence[Numbers]) -> dict[str, Floats]:
     return {name: np.array([float(one[name]) for one in found]) for name in found[0]}
 
 
-def _effect(one: Alternative, nominal: ParameterSet, of: Mapping[HeadlineRun, Numbers]) -> _Effect:
-    if one.parameters is None:
-        return _Effect(f"cannot be set: {one.refusal}")
-    seas = offsets(one.field)
-    usual = [loops(nominal, one.field, offset) for offset in seas]
-    before = _stacked([of[run] for run in usual])
-    if one.field == REALISATIONS:
-        many = _stacked([of[loops(nominal, "", offset)] for offset in range(one.value)])
-        after = {name: np.full(len(seas), np.median(values)) for name, values in many.items()}
-        after[FAILED] = before[FAILED]
-    else:
-        found = [of[loops(one.parameters, one.field, offset)] for offset in seas]
-        for numbers in found:
-            if "failure" in numbers:
-                return _Effect(f"cannot run: {numbers['failure']}")
-        after = _stacked(found)
-    return _Effect(MEASURED, before, after, usual[0].parameters.simulation.duration)
+def _scatter_table(found: Mapping[str, Floats]) -> pd.DataFrame:
+    """What another sea does to each of the nominal numbers: their 90 % interval.
+
+    ``scatter`` is half of it; ``allowance`` is that or the tolerance of a claim, if larger.
+    """
+    papers = {one.name: one.paper for one in search_settings().number if not one.at_most}
+    rows = []
+    for number in (one for one in found if one != FAILED):
+        ends = interval(found[number])
+        group = group_of(number)
+        unit, paper = GROUPS.get(group, "points"), papers.get(number)
+        scatter = (ends["high"] - ends["low"]) / 2
+        widest = tolerance(paper or 0.0, PERCENT if unit == "points" else unit)
+        rows.append(
+            {
+                "number": number,
+                "group": group,
+                "unit": unit,
+                "paper": paper,
+                "seas": len(found[number]),
+                **ends,
+                "scatter": scatter,
+                "allowance": max(scatter, widest),
+            }
+        )
+    return pd.DataFrame(rows)
 
 
-def _effect_table(
-    found: Sequence[tuple[Alternative, _Effect]], scatter: pd.DataFrame
-) -> pd.DataFrame:
-    """A row for each alternative and number.
+def _effects(
+    one: Alternative,
+    nominal: ParameterSet,
+    of: Mapping[HeadlineRun, Numbers],
+    scatter: pd.DataFrame,
+) -> Iterator[dict[str, Any]]:
+    """A row for each number of an alternative.
 
     ``nominal``, ``alternative`` and ``difference`` are means over the seas, ``low`` and
-    ``high`` the least and the largest difference in one of them.
+    ``high`` the least and the largest difference in one of them; ``seconds`` is the duration of
+    the loops.
     """
-    none = np.full(1, np.nan)
-    rows = []
-    for one, effect in found:
-        for of_number in scatter.to_dict("records"):
-            usual, other = (
-                numbers.get(of_number["number"], none) for numbers in (effect.nominal, effect.other)
-            )
-            difference = other - usual
-            rows.append(
-                {
-                    "point": one.point,
-                    "field": one.field,
-                    "value": one.written,
-                    "number": of_number["number"],
-                    "group": of_number["group"],
-                    "status": effect.status,
-                    "seas": len(difference) if effect.other else 0,
-                    "seconds": effect.seconds,
-                    "nominal": usual.mean(),
-                    "alternative": other.mean(),
-                    "difference": difference.mean(),
-                    "low": difference.min(),
-                    "high": difference.max(),
-                    "paper": of_number["paper"],
-                    "solves_failed": int(max(effect.other.get(FAILED, [0]))),
-                }
-            )
-    return pd.DataFrame(rows)
+    usual = [loops(nominal, one.field, offset) for offset in offsets(one.field)]
+    before = _stacked([of[run] for run in usual])
+    status, after = _outcome(one, nominal, of, before)
+    unknown = np.full(1, np.nan)
+    for number in scatter.to_dict("records"):
+        known = (before[number["number"]], after[number["number"]]) if after else (unknown, unknown)
+        difference = known[1] - known[0]
+        yield {
+            "point": one.point,
+            "field": one.field,
+            "value": one.written,
+            "number": number["number"],
+            "group": number["group"],
+            "status": status,
+            "seas": len(difference) if after else 0,
+            "seconds": usual[0].parameters.simulation.duration if after else 0.0,
+            "nominal": known[0].mean(),
+            "alternative": known[1].mean(),
+            "difference": difference.mean(),
+            "low": difference.min(),
+            "high": difference.max(),
+            "paper": number["paper"],
+            "solves_failed": int(max(after[FAILED])) if after else 0,
+        }
+
+
+def _outcome(
+    one: Alternative,
+    nominal: ParameterSet,
+    of: Mapping[HeadlineRun, Numbers],
+    before: Mapping[str, Floats],
+) -> tuple[str, dict[str, Floats]]:
+    """Status of an alternative, and its numbers where it could be run, (seas,) each."""
+    if one.parameters is None:
+        return f"cannot be set: {one.refusal}", {}
+    if one.field == REALISATIONS:
+        many = _stacked([of[loops(nominal, "", offset)] for offset in range(one.value)])
+        medians = {name: np.full_like(before[name], np.median(many[name])) for name in many}
+        return MEASURED, {**medians, FAILED: before[FAILED]}
+    found = [of[loops(one.parameters, one.field, offset)] for offset in offsets(one.field)]
+    for numbers in found:
+        if "failure" in numbers:
+            return f"cannot run: {numbers['failure']}", {}
+    return MEASURED, _stacked(found)
 
 
 def _point_table(effects: pd.DataFrame, scatter: pd.DataFrame) -> pd.DataFrame:
@@ -320,23 +303,21 @@ def _point_table(effects: pd.DataFrame, scatter: pd.DataFrame) -> pd.DataFrame:
 
 def _largest(group: str, changes: pd.DataFrame, band: pd.Series[float]) -> dict[str, Any]:
     """The largest change of a group's numbers."""
-    if changes.empty:
-        found: tuple[Any, ...] = (np.nan, "", "no", np.nan)
-    else:
+    change, value = np.nan, ""
+    if len(changes):
         largest = changes.iloc[int(changes["difference"].abs().to_numpy().argmax())]
-        change = float(largest["difference"])
-        exceeds = _yes(abs(change) > band["scatter"])
-        found = (change, largest["value"], exceeds, abs(change) / band["allowance"])
-    return dict(
-        zip((group, f"{group}_at", f"{group}_exceeds", f"{group}_times"), found, strict=True)
-    )
+        change, value = float(largest["difference"]), largest["value"]
+    return {
+        group: change,
+        f"{group}_at": value,
+        f"{group}_exceeds": _yes(abs(change) > band["scatter"]),
+        f"{group}_times": abs(change) / band["allowance"],
+    }
 
 
 def _yes(holds: bool) -> str:
     return "yes" if holds else "no"
 
-
-SPREAD = ("median", "scatter", "allowance")
 
 EXPERIMENT = Experiment(
     name="open_points",
@@ -344,11 +325,14 @@ EXPERIMENT = Experiment(
     claims=(),
     runs=runs,
     tabulate=tabulate,
-    prepare=prepare,
     tolerances={
         # Differences of per cent that are themselves reproduced to 1e-4, hence points.
         column: Tolerance(relative=1e-3, absolute=0.05)
-        for column in ("nominal", "alternative", "difference", "low", "high", *SPREAD, *GROUPS)
+        for column in (
+            *("nominal", "alternative", "difference", "low", "high"),
+            *("median", "scatter", "allowance"),
+            *GROUPS,
+        )
     }
     | {"star": Tolerance(relative=1e-3, absolute=1e-4)}
     | {

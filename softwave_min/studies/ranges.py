@@ -49,9 +49,8 @@ class PlausibleRange:
 
 def plausible_ranges() -> tuple[PlausibleRange, ...]:
     """The ranges that are searched."""
-    return load_data(dict[str, tuple[PlausibleRange, ...]], "studies/plausible_ranges.toml")[
-        "range"
-    ]
+    file = load_data(dict[str, tuple[PlausibleRange, ...]], "studies/plausible_ranges.toml")
+    return file["range"]
 
 
 def open_fields() -> list[str]:
@@ -76,22 +75,19 @@ def with_values(parameters: ParameterSet, values: Mapping[str, float]) -> Parame
 
     The proportional gains fall geometrically from the base to the tip by ``gradation``.
     """
-    for field, value in values.items():
-        if field == GRADATION:
-            continue
+    segments = parameters.arm.segments
+    entries: dict[str, Any] = {field: values[field] for field in values if field != GRADATION}
+    if GRADATION in values or GAIN in values:
+        mean = values.get(GAIN, value_in(parameters, GAIN))
+        steps = (segments - 1) / 2 - np.arange(segments)
+        ratio = values.get(GRADATION, 1.0)
+        entries[GAIN] = tuple(rounded(mean * ratio**step) for step in steps)
+    for field, value in entries.items():
         section, name = field.split(".")
         part = getattr(parameters, section)
-        entry: Any = value
-        if isinstance(getattr(part, name), tuple):
-            entry = (value,) * parameters.arm.segments
-        parameters = replace(parameters, **{section: replace(part, **{name: entry})})
-    if GRADATION in values or GAIN in values:
-        steps = (parameters.arm.segments - 1) / 2 - np.arange(parameters.arm.segments)
-        ratio = values.get(GRADATION, 1.0)
-        gains = tuple(rounded(value_in(parameters, GAIN) * ratio**step) for step in steps)
-        parameters = replace(
-            parameters, baseline=replace(parameters.baseline, proportional_gain=gains)
-        )
+        each = isinstance(getattr(part, name), tuple) and not isinstance(value, tuple)
+        part = replace(part, **{name: (value,) * segments if each else value})
+        parameters = replace(parameters, **{section: part})
     return parameters
 
 

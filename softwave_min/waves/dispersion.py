@@ -9,29 +9,17 @@ NEWTON_STEPS = 4
 
 
 def wave_number(angular_frequency: ArrayLike, depth: float, gravity: float) -> NDArray[np.float64]:
-    """Solve ``w^2 = g k tanh(k d)`` for ``k``.
+    """Solve ``w^2 = g k tanh(k d)`` for ``k``, in rad/m.
 
     Starts from Guo's explicit formula, which is right to 0.75 %; each Newton step
     squares that error, so four reach machine precision whatever the depth.
 
-    Parameters
-    ----------
-    angular_frequency : array_like
-        w > 0, in rad/s, of any shape.
-    depth : float
-        Water depth d > 0, in m.
-    gravity : float
-        g > 0, in m/s^2.
-
-    Returns
-    -------
-    ndarray
-        k in rad/m, of the shape of ``angular_frequency``.
+    ``angular_frequency`` w in rad/s, of any shape; ``depth`` d in m; ``gravity`` g in m/s^2.
 
     Raises
     ------
     ValueError
-        If an argument is not positive and finite.
+        If one of them is not positive and finite.
 
     References
     ----------

@@ -28,38 +28,22 @@ _PER_COMPONENT = ("angular_frequency", "amplitude", "wave_number", "phase")
 class Sea:
     """Wave components: elevation = sum a_i cos(k_i x - w_i t + phi_i).
 
-    Attributes
-    ----------
-    angular_frequency : ndarray, shape (N,)
-        w, in rad/s.
-    amplitude : ndarray, shape (N,)
-        a = A/2, in m, where A is the paper's crest-to-trough 'amplitude'.
-    wave_number : ndarray, shape (N,)
-        k, in rad/m.
-    phase : ndarray, shape (N,)
-        phi, in rad.
-    depth : float
-        Water depth d, in m.
-    gravity : float
-        g, in m/s^2.
-
-    Raises
-    ------
-    ValueError
-        If the vectors differ in length.
-
-    Notes
-    -----
-    The arrays are read-only copies. Methods take x, z, t of any shapes that
-    broadcast and return that shape.
+    The vectors have one length N, or a ValueError says so, and are kept as read-only copies.
+    Methods take x, z, t of any shapes that broadcast and return that shape.
     """
 
     angular_frequency: Floats
+    """w, in rad/s."""
     amplitude: Floats
+    """a = A/2, in m, where A is the paper's crest-to-trough 'amplitude'."""
     wave_number: Floats
+    """k, in rad/m."""
     phase: Floats
+    """phi, in rad."""
     depth: float
+    """Water depth d, in m."""
     gravity: float
+    """g, in m/s^2."""
 
     def __post_init__(self) -> None:
         for name in _PER_COMPONENT:
@@ -79,13 +63,7 @@ class Sea:
     def regular(
         cls, height: float, period: float, depth: float, gravity: float, phase: float = 0.0
     ) -> Self:
-        """One wave of crest-to-trough ``height`` in m and ``period`` in s.
-
-        Raises
-        ------
-        ValueError
-            If period, depth or gravity is not positive.
-        """
+        """One wave of crest-to-trough ``height`` in m and ``period`` > 0 in s."""
         frequency = np.array([2 * math.pi / period])
         number = wave_number(frequency, depth, gravity)
         return cls(frequency, np.array([height / 2]), number, np.array([phase]), depth, gravity)
@@ -99,57 +77,38 @@ class Sea:
         H_s^2/16. The phases depend on seed and number of components alone: seas of
         one seed differ in height and period only.
         """
-        frequency_hz, width = _bins(
-            parameters.lowest_frequency_hz, parameters.highest_frequency_hz, parameters.components
-        )
+        frequency_hz, _ = _bins(parameters)
         density = jonswap_density(
             frequency_hz, 1.0, parameters.peak_period, parameters.peak_enhancement
         )
-        variance = parameters.significant_height**2 / 16
-        return cls._of_components(
-            frequency_hz,
-            _amplitudes(density, width, variance),
-            parameters.depth,
-            gravity,
-            np.random.default_rng(parameters.seed),
-        )
+        return cls._of_density(density, parameters.significant_height**2 / 16, parameters, gravity)
 
     @classmethod
-    def from_spectrum(
-        cls,
-        spectrum: Spectrum,
-        band_hz: tuple[float, float],
-        components: int,
-        *,
-        depth: float,
-        gravity: float,
-        rng: np.random.Generator,
-    ) -> Self:
-        """A sea of any spectrum, cut into equal bins of ``band_hz`` as in `random`.
+    def from_spectrum(cls, spectrum: Spectrum, parameters: SeaParameters, gravity: float) -> Self:
+        """A sea with any spectrum, such as a measured one, in place of the JONSWAP curve.
 
-        Sum a^2/2 equals the m_0 of the whole spectrum: what lies outside the band is
-        spread over it in proportion.
+        The spectrum gives the shape; height, depth, band, number of components and phases
+        come from ``parameters``, as in `random`. ``peak_period`` and ``peak_enhancement``
+        are not read.
 
         Raises
         ------
         ValueError
-            If the spectrum has waves, but none in the middle of any bin.
+            If the spectrum has no waves, or none in the middle of any bin.
         """
-        frequency_hz, width = _bins(*band_hz, components)
-        amplitude = _amplitudes(spectrum.density_at(frequency_hz), width, spectrum.moment(0))
-        return cls._of_components(frequency_hz, amplitude, depth, gravity, rng)
+        scaled = spectrum.scaled_to(parameters.significant_height)
+        density = scaled.density_at(_bins(parameters)[0])
+        return cls._of_density(density, scaled.moment(0), parameters, gravity)
 
     @classmethod
-    def _of_components(
-        cls,
-        frequency_hz: Floats,
-        amplitude: Floats,
-        depth: float,
-        gravity: float,
-        rng: np.random.Generator,
+    def _of_density(
+        cls, density: Floats, variance: float, parameters: SeaParameters, gravity: float
     ) -> Self:
-        frequency = 2 * math.pi * frequency_hz
-        phase = rng.uniform(0, 2 * math.pi, len(frequency))
+        """Components of a density in the middle of each bin, so that sum a^2/2 = variance."""
+        frequency_hz, width = _bins(parameters)
+        frequency, depth = 2 * math.pi * frequency_hz, parameters.depth
+        amplitude = _amplitudes(density, width, variance)
+        phase = np.random.default_rng(parameters.seed).uniform(0, 2 * math.pi, len(frequency))
         number = wave_number(frequency, depth, gravity)
         return cls(frequency, amplitude, number, phase, depth, gravity)
 
@@ -187,16 +146,8 @@ class Sea:
 
         ``u - i w = sum_nm C[j, n, m] (Z - Z_0)^n (t - t_j)^m``.
 
-        The local acceleration is the derivative of this in t.
-
-        Parameters
-        ----------
-        centre : tuple of float
-            (x_0, z_0), in m.
-        times : array_like, shape (T,)
-            t_j, in s.
-        space_order, time_order : int
-            Highest powers kept.
+        The local acceleration is the derivative of this in t. ``centre`` is (x_0, z_0) in m,
+        ``times`` are the t_j in s, the orders the highest powers kept.
 
         Returns
         -------
@@ -236,18 +187,9 @@ class Sea:
         ``|error| <= sum_i U_i [ sum_(j>n) (k_i r)^j / j!
         + sum_(j<=n) (k_i r)^j / j! (w_i tau)^(m+1) / (m+1)! ]``
 
-        Parameters
-        ----------
-        centre : tuple of float
-            (x_0, z_0), in m.
-        radius : float
-            Largest distance r from the centre, in m.
-        half_interval : float
-            Largest |t - t_j|, tau, in s.
-        space_order, time_order : int
-            Highest powers kept, n and m.
-        time_derivative : int
-            0 bounds the velocity in m/s, 1 the acceleration in m/s^2.
+        ``centre`` is (x_0, z_0), ``radius`` the largest distance r from it, in m,
+        ``half_interval`` the largest |t - t_j|, tau, in s; the orders n and m are the highest
+        powers kept. ``time_derivative`` 0 bounds the velocity in m/s, 1 the acceleration in m/s^2.
         """
         reach = self.wave_number * radius
         kept_time = time_order - time_derivative
@@ -282,10 +224,11 @@ class Sea:
         return rising + falling, np.asarray(rising * -np.expm1(-2 * above_bed))
 
 
-def _bins(lowest_hz: float, highest_hz: float, count: int) -> tuple[Floats, float]:
-    """Middles and width of ``count`` equal bins."""
-    width = (highest_hz - lowest_hz) / count
-    return np.asarray(lowest_hz + width * (np.arange(count) + 0.5), dtype=float), width
+def _bins(parameters: SeaParameters) -> tuple[Floats, float]:
+    """Middles and width of the equal bins of the band, in Hz."""
+    lowest, count = parameters.lowest_frequency_hz, parameters.components
+    width = (parameters.highest_frequency_hz - lowest) / count
+    return np.asarray(lowest + width * (np.arange(count) + 0.5), dtype=float), width
 
 
 def _amplitudes(density: Floats, width: float, variance: float) -> Floats:

@@ -20,21 +20,13 @@ LOWEST_RATIO = 1e-2
 class Spectrum:
     """A variance density S(f), linear between its samples and zero outside them.
 
-    Attributes
-    ----------
-    frequency_hz : ndarray, shape (N,)
-        Ascending, not negative, N >= 2; read-only.
-    density : ndarray, shape (N,)
-        S >= 0, in m^2/Hz; read-only.
-
-    Raises
-    ------
-    ValueError
-        If the samples are not as said.
+    Samples that are not as said below are a ValueError; they are kept as read-only copies.
     """
 
     frequency_hz: NDArray[np.float64]
+    """N >= 2 of them, ascending, not negative, finite."""
     density: NDArray[np.float64]
+    """S >= 0 at each of them, in m^2/Hz."""
 
     def __post_init__(self) -> None:
         for name in ("frequency_hz", "density"):
@@ -96,10 +88,7 @@ class Spectrum:
 
 
 def jonswap_density(
-    frequency_hz: ArrayLike,
-    significant_height: float,
-    peak_period: float,
-    peak_enhancement: float,
+    frequency_hz: ArrayLike, significant_height: float, peak_period: float, peak_enhancement: float
 ) -> NDArray[np.float64]:
     """JONSWAP variance density, in m^2/Hz.
 
@@ -108,16 +97,9 @@ def jonswap_density(
     the integral of the shape over all x, is computed and not fitted, so that
     m_0 = H_s^2/16 over 0 < f < inf to twelve digits.
 
-    Parameters
-    ----------
-    frequency_hz : array_like
-        Frequencies >= 0, in Hz; S(0) = 0.
-    significant_height : float
-        H_s >= 0, in m.
-    peak_period : float
-        T_p > 0, in s.
-    peak_enhancement : float
-        gamma >= 1; gamma = 1 is the Pierson-Moskowitz shape.
+    Frequencies f >= 0 in Hz, with S(0) = 0; ``significant_height`` H_s >= 0 in m;
+    ``peak_period`` T_p > 0 in s; ``peak_enhancement`` gamma >= 1, where 1 is the
+    Pierson-Moskowitz shape.
 
     References
     ----------
@@ -135,17 +117,9 @@ def periodogram(elevation: ArrayLike, interval: float, padding: int = 8) -> Spec
     """Spectrum of a record of the surface, without window or smoothing.
 
     The record's mean is taken off. Its m_0 is then the record's variance (Parseval); a
-    window would spread m_0 over still fewer waves.
-
-    Parameters
-    ----------
-    elevation : array_like, shape (T,)
-        Elevations at equal steps, in m.
-    interval : float
-        Time between two of them, in s.
-    padding : int
-        The record is lengthened ``padding``-fold with zeros, which refines the grid of
-        frequencies and so the peak, and adds no information.
+    window would spread m_0 over still fewer waves. Elevations in m, ``interval`` seconds
+    apart; the record is lengthened ``padding``-fold with zeros, which refines the grid of
+    frequencies and so the peak, and adds no information.
     """
     record = np.asarray(elevation, dtype=float)
     length = padding * len(record)

@@ -76,6 +76,15 @@ def test_sine_and_cosine_are_exact_to_the_last_digit_but_one_over_many_turns():
         np.testing.assert_allclose(found[:, 1], np.cos(group), rtol=0, atol=2.5e-16)
 
 
+def test_an_angle_too_large_to_be_reduced_exactly_has_no_sine():
+    function = ca.Function("turn", [a], [ca.vertcat(ca.sin(a), ca.cos(a))])
+    most = 2**20 * np.pi / 2
+    angles = np.array([most, 1.001 * most, -1e9, 1e300])
+    (found,) = evaluated(function, 4, [angles[:, None]])
+    np.testing.assert_allclose(found[0], [np.sin(most), np.cos(most)], rtol=0, atol=1e-15)
+    assert np.isnan(found[1:]).all()
+
+
 def test_a_number_that_is_not_finite_stays_in_its_lane():
     function = ca.Function("mixed", [a, b], [ca.sin(a) / b + ca.if_else(a < b, a, b)])
     values = np.array([[0.3, np.nan, np.inf, -0.2], [1.0, 1.0, 2.0, 3.0]])[..., None]

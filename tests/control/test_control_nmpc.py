@@ -4,6 +4,8 @@ from collections import Counter
 from copy import deepcopy
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,13 +14,14 @@ from scipy.optimize import lsq_linear
 
 from softwave_min.arm import Arm
 from softwave_min.control.baseline import InnerLoop
+from softwave_min.control.compiled import engine as compiled
 from softwave_min.control.compiled.engine import Engine
 from softwave_min.control.nmpc import GaussNewton
 from softwave_min.control.preview import Forecast
 from softwave_min.control.problem import Problem, Status
-from softwave_min.native import compiler
+from softwave_min.native import build, compiler
 from softwave_min.paper.cases import poses, wave_cases
-from softwave_min.parameters import FailureParameters
+from softwave_min.parameters import FailureParameters, parameter_set
 from softwave_min.simulation import NmpcController, Scenario, plant_of, preview_of
 from softwave_min.simulation.plant import ExtrapolatedPlant
 from softwave_min.waves import Sea
@@ -228,6 +231,87 @@ def test_a_converged_plan_satisfies_the_first_order_conditions(nominal, bound):
         gradient = 2 * jacobian.T @ residual
         moved = np.clip(solution.inputs.ravel() - gradient, -bound, bound)
         assert np.max(np.abs(moved - solution.inputs.ravel())) < 1e-6
+
+
+@pytest.mark.parametrize("in_c", [False, pytest.param(True, marks=needs_compiler)])
+def test_real_time_iteration_takes_full_steps_and_no_more(nominal, in_c):
+    scenario = scenario_at(nominal, real_time=True, max_iterations=3)
+    readable = first_solver(scenario)
+    solver = solvers(scenario)[1] if in_c else readable
+    rng, risen = np.random.default_rng(12), 0
+    for _ in range(6):
+        problem, guess = hard_problem(scenario.flow, scenario.parameters.nmpc, 3, rng)
+        inputs, costs = np.clip(guess, -np.pi, np.pi), []
+        for _ in range(3):
+            residual, jacobian = readable.residual(problem, inputs)
+            inputs = inputs + readable.step(inputs, residual, jacobian)
+            costs.append(residual @ residual)
+        found = solver.solve(problem, guess)
+        np.testing.assert_allclose(found.inputs, inputs, rtol=0, atol=1e-7)
+        assert found.iterations == 3
+        risen += costs != sorted(costs, reverse=True)
+    assert risen  # where a line search would have shortened the step
+
+
+@needs_compiler
+def test_real_time_iteration_goes_on_where_nothing_is_left_to_do(nominal):
+    scenario = scenario_at(nominal, real_time=True, max_iterations=20)
+    problem, guess = next(recorded_problems(scenario, 1))
+    for solver in solvers(scenario):
+        found = solver.solve(problem, guess)
+        assert (found.status, found.iterations) == (Status.CONVERGED, 20)
+
+
+STUB = """
+typedef const double *const *given;
+typedef double *const *result;
+void command_torque(given arg, result res) {}
+void implicit_slopes(given arg, result res) {}
+void implicit_step(given arg, result res) {
+    for (int i = 0; i < COUNT * ABREAST; i++) res[0][i] = 0;
+}
+void period_cost(given arg, result res) { /* each command should be its former one plus 1 */
+    for (int i = 0; i < COUNT * WIDE; i++) {
+        res[0][i] = arg[4][i] - arg[5][i] - 1;
+        for (int l = 0; l < 2; l++) res[1][(2 * (i / WIDE) + l) * WIDE + i % WIDE] = l ? -1 : 1;
+    }
+}
+"""
+
+
+@needs_compiler
+def test_the_loop_in_c_hands_on_the_command_of_any_number_of_segments(monkeypatch):
+    """Under a model of arms that do not move."""
+    count, steps = 300, 4
+    own = Path(compiled.__file__).with_name("engine.c").read_text(encoding="utf-8")
+    columns = [f"{3 * count + i}, {4 * count + i}" for i in range(count)]
+    macros = {
+        "ABREAST": 2,
+        "WIDE": 2,
+        "COUNT": count,
+        "RESIDUALS": count,
+        "SLOPE_STARTS": ", ".join(str(2 * i) for i in range(count + 1)),
+        "SLOPE_OF": ", ".join(columns),
+    }
+    defined = "".join(f"#define {name} {value}\n" for name, value in macros.items())
+    library = build("stub", {"engine.c": defined + own, "stub.c": defined + STUB})
+    loaded = compiled.loaded(library)
+    monkeypatch.setattr(compiled, "_library", lambda _: loaded)
+    structure = SimpleNamespace(flow_size=2)
+    arm = SimpleNamespace(segments=count, structure=structure, values=np.zeros(1))
+    parameters = parameter_set("physical")
+    nmpc = replace(parameters.nmpc, horizon=1, angle_bound=6.0, max_iterations=3)
+    engine = Engine(arm, np.zeros(1), np.zeros(1), nmpc, parameters.simulation)
+    begin = np.linspace(-1, 1, count)
+    _, q_bar, status, _ = engine.run(
+        np.concatenate([begin, np.zeros(count)]),
+        np.zeros((steps + 1, 2)),
+        np.zeros((steps, 2)),
+        np.zeros((steps, 2)),
+        np.zeros((steps, 1, count)),
+    )
+    assert (status == Status.CONVERGED).all()
+    np.testing.assert_allclose(q_bar, begin + 1 + np.arange(steps)[:, None], atol=1e-9)
 
 
 def test_bounds_hold_always(nominal):

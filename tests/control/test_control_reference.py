@@ -11,8 +11,13 @@ from softwave_min.control.compiled.engine import Engine
 from softwave_min.control.nmpc import GaussNewton
 from softwave_min.control.predictor import PeriodSteps, stage_function
 from softwave_min.control.problem import Status
-from softwave_min.control.reference import interior_point
-from softwave_min.control.reference.convex import ConvexPlanner, sqp_step
+from softwave_min.control.reference import convex, interior_point
+from softwave_min.control.reference.convex import (
+    ConvexGaussNewton,
+    ConvexPlanner,
+    UnsolvedError,
+    sqp_step,
+)
 from softwave_min.control.reference.interior_point import InteriorPoint, transition_function
 from softwave_min.experiments.places import in_sea
 from softwave_min.native import compiler
@@ -244,6 +249,18 @@ def test_bounds_in_the_program_lead_closer_than_clipping_its_answer(nominal):
         clipped = np.clip(plain.step(clipped, target), -bound, bound)
     least, miss = (np.linalg.norm(arm.tip(q) - target) for q in (bounded, clipped))
     assert least < miss / 2
+
+
+def test_a_convex_program_that_is_not_solved_gives_no_step(nominal, monkeypatch):
+    scenario = scenario_of(nominal, duration=0.3, angle_bound=0.2)
+    problem, guess = recorded(scenario)[1]
+    solver = ConvexGaussNewton(scenario.arm, scenario.believed_gains, scenario.parameters.nmpc)
+    planner = planners(nominal, np.pi)[2]
+    monkeypatch.setitem(convex.SETTINGS, "max_iter", 1)
+    with pytest.raises(UnsolvedError, match=r"user_limit|inaccurate"):
+        solver.solve(problem, guess)
+    with pytest.raises(UnsolvedError, match=r"user_limit|inaccurate"):
+        planner.step(np.zeros(3), np.array(poses()["P1"]))
 
 
 def test_the_convex_planner_needs_damping(nominal):

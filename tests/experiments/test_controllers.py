@@ -1,22 +1,19 @@
 """A third controller is one entry: tables have a column or rows of it, figures a line or panel."""
 
-from dataclasses import replace
 from itertools import product
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from invented_loops import STEPS, tabulated
+from invented_loops import STEPS, computed, tabulated
 
 from softwave_min.experiments import actuator_failure, error_ratio, example_case, random_seas
+from softwave_min.experiments.ablation_loops import varied
 from softwave_min.experiments.closed_loop import LoopRun, closed_loops
 from softwave_min.figures import actuator_failure as failure_figures
 from softwave_min.figures import error_ratio as grid_figures
 from softwave_min.figures import example_case as example_figures
 from softwave_min.figures import random_seas as seas_figures
 from softwave_min.figures.marks import look
-from softwave_min.figures.style import apply
-from softwave_min.runs.store import Store
 from softwave_min.simulation import CONTROLLERS, BaselineController, Command
 
 THIRD = "limp"
@@ -35,14 +32,11 @@ class Limp:
 @pytest.fixture(autouse=True)
 def third(monkeypatch):
     monkeypatch.setitem(CONTROLLERS, THIRD, Limp)
-    apply()
-    yield
-    plt.close("all")
 
 
 @pytest.fixture
 def brief(nominal):
-    return replace(nominal, simulation=replace(nominal.simulation, duration=0.1 * STEPS))
+    return varied(nominal, (("simulation.duration", 0.1 * STEPS),))
 
 
 def rows_of(table):
@@ -50,14 +44,14 @@ def rows_of(table):
 
 
 def test_the_simulation_runs_it_by_its_name(brief):
-    short = replace(brief, simulation=replace(brief.simulation, duration=1.0))
+    short = varied(brief, (("simulation.duration", 1.0),))
     found = closed_loops(LoopRun(short, ((0.7, -3.7),)))
     ends = {name: found[f"{name}_error"][-1] for name in CONTROLLERS}
     assert ends[THIRD] > ends["baseline"]
 
 
-def test_the_grid_has_it(brief, tmp_path):
-    tables, store = tabulated(error_ratio.EXPERIMENT, brief, tmp_path)
+def test_the_grid_has_it(brief):
+    tables, store = tabulated(error_ratio.EXPERIMENT, brief)
     grid = tables["error_ratio"]
     expected = ["e_baseline", "e_nmpc", f"e_{THIRD}", "ratio_nmpc", f"ratio_{THIRD}"]
     assert list(grid.columns[4:9]) == expected
@@ -67,23 +61,19 @@ def test_the_grid_has_it(brief, tmp_path):
         theirs = rows_of(tables[stem])
         assert len(theirs) == len(tables[stem]) / 2
         assert theirs["paper"].isna().all()  # the paper has no number of it
-    for stem, column in (
-        ("trends", f"correlation_{THIRD}_settled"),
-        ("periods", f"spread_{THIRD}_largest"),
-        ("curvature", f"torque_reduction_{THIRD}"),
-        ("pairs", f"ratio_difference_{THIRD}"),
-    ):
-        assert column in tables[stem]
+    assert f"correlation_{THIRD}_settled" in tables["trends"]
+    assert f"spread_{THIRD}_largest" in tables["periods"]
+    assert f"torque_reduction_{THIRD}" in tables["curvature"]
+    assert f"ratio_difference_{THIRD}" in tables["pairs"]
     drawings = grid_figures.draw(store, brief)
-    assert set(drawings) == {
-        f"{stem}{ending}" for stem, ending in product(("error_ratio", "settled"), ("", f"_{THIRD}"))
-    }
+    stems = product(("error_ratio", "settled"), ("", f"_{THIRD}"))
+    assert set(drawings) == {"".join(stem) for stem in stems}
     bars = drawings[f"error_ratio_{THIRD}"].figure.axes[0].patches
     np.testing.assert_allclose([bar.get_height() for bar in bars], 0.25)
 
 
-def test_failures_have_it(brief, tmp_path):
-    tables, store = tabulated(actuator_failure.EXPERIMENT, brief, tmp_path)
+def test_failures_have_it(brief):
+    tables, store = tabulated(actuator_failure.EXPERIMENT, brief)
     grid = tables["actuator_failure"]
     assert {f"e_{THIRD}", f"rise_percent_{THIRD}_settled", "e_baseline_intact"} <= set(grid)
     for stem in ("rises", "spread", "statements", "passive_motion", "excitation"):
@@ -93,24 +83,20 @@ def test_failures_have_it(brief, tmp_path):
     assert THIRD in drawings[f"actuator_failure_{THIRD}"].caption
 
 
-def test_many_seas_have_it(brief, tmp_path, monkeypatch):
+def test_many_seas_have_it(brief, monkeypatch):
     monkeypatch.setattr("softwave_min.experiments.random_seas.SEEDS", 2)
-    tables, store = tabulated(random_seas.EXPERIMENT, brief, tmp_path)
+    tables, store = tabulated(random_seas.EXPERIMENT, brief)
     for stem in ("reductions", "reductions_settled", "rises", "rise_spread", "places"):
         assert len(rows_of(tables[stem])) == len(tables[stem]) / 2
     assert f"random_seas_{THIRD}" in seas_figures.draw(store, brief)
 
 
-def test_the_example_has_it(brief, tmp_path):
-    runs = example_case.EXPERIMENT.runs(brief)
-    arrays = {run.name: run.compute(run.parameters) for run in runs}
+def test_the_example_has_it(brief):
+    arrays = computed(example_case.EXPERIMENT, brief)
     tables = example_case.EXPERIMENT.tabulate(brief, arrays)
     errors = tables["example_case"].set_index(["sea", "controller"])["rmse"]
     assert errors["jonswap", THIRD] > errors["jonswap", "baseline"]
     assert THIRD in set(tables["joints"]["controller"])
-    store = Store("example_case", tmp_path)
-    for run in runs:
-        store.save_run(run, arrays[run.name], {})
     loops = {name: example_figures.ClosedLoop(**one) for name, one in arrays.items()}
     drawing = example_figures._errors(example_figures._sea_words(brief), loops)
     assert len(drawing.figure.axes[0].lines) == 3 + 1  # and where the start ends

@@ -1,21 +1,17 @@
 """The experiment `example_case`: which sea it is in, and what its runs depend on."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from invented_loops import computed
 
 from softwave_min.data import data_folder
+from softwave_min.experiments.ablation_loops import varied
 from softwave_min.experiments.closed_loop import sea_of, whole_record
 from softwave_min.experiments.example_case import EXPERIMENT, key_moments, lag_and_correlation
 from softwave_min.parameters import parameter_set
-from softwave_min.runs.identity import source_files
+from softwave_min.runs.source import source_files
 from softwave_min.simulation import ClosedLoop
 from softwave_min.waves.records import measured_sea, named_records
-
-
-def in_sea(parameters, **changes):
-    return replace(parameters, sea=replace(parameters.sea, **changes))
 
 
 @pytest.mark.parametrize("name", ["calibrated", "physical"])
@@ -27,8 +23,8 @@ def test_the_shipped_sets_have_the_papers_sea(name):
 
 def test_the_sea_of_a_parameter_set_acts(nominal):
     """`[sea]` with another height and period is another sea, and named so in the table."""
-    mine = in_sea(nominal, significant_height=2.0, peak_period=7.0)
-    brief = replace(mine, simulation=replace(mine.simulation, duration=12.0))
+    sea = ("sea.significant_height", 2.0), ("sea.peak_period", 7.0)
+    brief = varied(nominal, (*sea, ("simulation.duration", 12.0)))
     found = EXPERIMENT.runs(brief)
     for run in found:
         amplitude = sea_of(run.parameters).amplitude
@@ -36,7 +32,7 @@ def test_the_sea_of_a_parameter_set_acts(nominal):
     jonswap = sea_of(found[0].parameters)
     peak = jonswap.angular_frequency[np.argmax(jonswap.amplitude)]
     assert 2 * np.pi / peak == pytest.approx(7.0, rel=0.05)
-    tables = EXPERIMENT.tabulate(brief, {run.name: whole_record(run.parameters) for run in found})
+    tables = EXPERIMENT.tabulate(brief, computed(EXPERIMENT, brief))
     assert set(tables["example_case"]["peak_period"]) == {7.0}
 
 
@@ -70,7 +66,7 @@ def test_the_lag_is_found_with_its_sign():
 
 
 def test_a_run_has_every_signal(nominal):
-    brief = replace(nominal, simulation=replace(nominal.simulation, duration=0.5))
+    brief = varied(nominal, (("simulation.duration", 0.5),))
     loop = ClosedLoop(**whole_record(EXPERIMENT.runs(brief)[0].parameters))
     assert loop.error[0] > 0
     assert len(loop.torque) == 5

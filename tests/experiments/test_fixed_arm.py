@@ -4,15 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from invented_loops import computed, shelf
 
 from softwave_min.arm import Arm
+from softwave_min.experiments.ablation_loops import varied
 from softwave_min.experiments.fixed_arm import EXPERIMENT, peak_wave_number
 from softwave_min.experiments.fixed_arm_loads import FixedArm, fixed_arm_loads
 from softwave_min.figures.fixed_arm import draw
-from softwave_min.figures.style import apply, svg
+from softwave_min.figures.style import svg
 from softwave_min.paper.cases import poses
 from softwave_min.parameters import parameter_set
-from softwave_min.runs.store import Store
 from softwave_min.waves import Sea
 
 RISES = (0.6, 0.0, -2.4)
@@ -21,6 +22,11 @@ RISES = (0.6, 0.0, -2.4)
 def loads(parameters, **sea):
     changed = replace(parameters, sea=replace(parameters.sea, **sea))
     return fixed_arm_loads(FixedArm(changed, tuple(poses().values()), RISES))
+
+
+@pytest.fixture(scope="module")
+def parameters():
+    return varied(parameter_set(), (("simulation.duration", 12.0),))
 
 
 @pytest.fixture(scope="module")
@@ -74,15 +80,8 @@ def test_a_wave_much_longer_than_the_arm_is_uniform_about_it(parameters, in_w3):
 
 
 @pytest.fixture(scope="module")
-def parameters():
-    whole = parameter_set()
-    return replace(whole, simulation=replace(whole.simulation, duration=12.0))
-
-
-@pytest.fixture(scope="module")
 def tables(parameters):
-    arrays = {run.name: fixed_arm_loads(run.parameters) for run in EXPERIMENT.runs(parameters)}
-    return EXPERIMENT.tabulate(parameters, arrays)
+    return EXPERIMENT.tabulate(parameters, computed(EXPERIMENT, parameters))
 
 
 def test_a_row_for_each_pose_and_depth_beside_the_decay(parameters, tables):
@@ -92,21 +91,12 @@ def test_a_row_for_each_pose_and_depth_beside_the_decay(parameters, tables):
     assert (here.decay == 1).all()
     np.testing.assert_array_equal(here.torque, postures.torque)
     lowest = depth[(depth.wave == "W2") & (depth.z == depth.z.min())].iloc[0]
-    sea = replace(parameters.sea, peak_period=8.0)
-    number = peak_wave_number(replace(parameters, sea=sea))
+    number = peak_wave_number(varied(parameters, (("sea.peak_period", 8.0),)))
     assert lowest.decay == pytest.approx(np.exp(number * (lowest.z + 4.0)))
     assert depth.z.min() > -parameters.sea.depth + sum(parameters.arm.length)
 
 
-def test_a_sweep_prepares_for_it(parameters):
-    EXPERIMENT.prepare(EXPERIMENT.runs(parameters)[-1])
-
-
-def test_the_figure_is_the_same_bytes_again(parameters, tables, tmp_path):
-    store = Store("fixed_arm", tmp_path)
-    for stem, table in tables.items():
-        store.write_table(stem, table)
-    apply()
-    drawing = draw(store, parameters)["loads"]
-    assert svg(drawing) == svg(draw(store, parameters)["loads"])
+def test_the_figure_is_the_same_bytes_again(parameters, tables):
+    drawing = draw(shelf(tables), parameters)["loads"]
+    assert svg(drawing) == svg(draw(shelf(tables), parameters)["loads"])
     assert len(drawing.figure.axes) == 2

@@ -2,15 +2,16 @@
 
 import math
 from dataclasses import replace
+from itertools import product
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from invented_loops import shelf
 
 from softwave_min.arm import Arm
+from softwave_min.experiments.ablation_loops import varied
 from softwave_min.experiments.failures import failure_cases
 from softwave_min.experiments.resting_arm import (
-    CELL,
     REACHED,
     RestingArm,
     RestRun,
@@ -22,10 +23,9 @@ from softwave_min.experiments.resting_arm import (
 )
 from softwave_min.experiments.setpoints import EXPERIMENT
 from softwave_min.figures.setpoints import draw, outlines
-from softwave_min.figures.style import apply, svg
+from softwave_min.figures.style import svg
 from softwave_min.paper.cases import poses
 from softwave_min.parameters import parameter_set
-from softwave_min.runs.store import Store
 
 BOUND = math.pi
 CASES = failure_cases(parameter_set())
@@ -64,7 +64,7 @@ def test_a_passive_segment_sags_down_by_its_weight(nominal):
 
 
 def test_without_weight_passive_and_locked_are_one(nominal):
-    floating = replace(nominal, arm=replace(nominal.arm, density=(nominal.fluid.density,) * 3))
+    floating = varied(nominal, (("arm.density", (nominal.fluid.density,) * 3),))
     angles = angles_of("mid_passive")
     one, other = (resting(floating, f"mid_{manner}") for manner in ("passive", "locked"))
     np.testing.assert_allclose(one.postures(angles), other.postures(angles), atol=1e-12)
@@ -150,14 +150,13 @@ def test_the_map_of_two_angles_is_that_of_the_forward_kinematics(nominal):
     assert cells[column + half, row + half].mean() > 0.999
 
 
-def test_the_reach_of_one_free_angle_has_no_area(nominal):
+def test_the_reach_of_one_free_angle_has_no_area(arm):
     """Of an arm that can only turn its last segment the tip draws a curve: what is
     counted falls with the cell, where an area would not."""
+    bends = np.linspace(-BOUND, BOUND, 4001)
+    tips = arm.tip(np.stack([0 * bends, 0 * bends, bends], axis=1))
     sizes = []
     for cell in (0.02, 0.01, 0.005):
-        one = resting(nominal, "intact")
-        bends = np.linspace(-BOUND, BOUND, 4001)
-        tips = one.tips(np.stack([0 * bends, 0 * bends, bends], axis=1))
         column, row = np.floor((tips - tips.min(axis=0)) / cell).astype(int).T + 1
         cells = np.zeros((column.max() + 2, row.max() + 2), dtype=bool)
         cells[column, row] = True
@@ -177,19 +176,14 @@ def test_the_area_of_a_disc():
 
 
 @pytest.fixture(scope="module")
-def short(nominal):
-    still = replace(nominal.sea, significant_height=0.0)
-    return replace(nominal, sea=still, simulation=replace(nominal.simulation, duration=4.0))
-
-
-@pytest.fixture(scope="module")
-def arrays(nominal, short):
+def arrays(nominal):
     """The kinematics as the experiment has them, the closed loops cut short."""
     found = {
         run.name: reach(run.parameters)
         for run in EXPERIMENT.runs(nominal)
         if run.name.startswith("reach")
     }
+    short = varied(nominal, (("sea.significant_height", 0.0), ("simulation.duration", 4.0)))
     loop = at_rest(RestRun(CASES["mid_passive"].of(short), tuple(poses().values())))
     return {**found, **{f"rest-{case}": loop for case in CASES}}
 
@@ -199,15 +193,11 @@ def tables(nominal, arrays):
     return EXPERIMENT.tabulate(nominal, arrays)
 
 
-def test_every_case_asks_for_every_pose(tables):
+def test_the_intact_arm_reaches_every_pose_and_the_failed_one_not(tables):
     table = tables["setpoints"]
-    assert list(table["case"].drop_duplicates()) == list(CASES)
-    assert all(list(part["pose"]) == list(poses()) for _, part in table.groupby("case"))
+    assert list(zip(table["case"], table["pose"], strict=True)) == list(product(CASES, poses()))
     assert (table["reachable"] == (table["distance_left"] < REACHED)).all()
-
-
-def test_all_poses_are_within_reach_of_the_intact_arm_and_not_of_the_failed(tables):
-    reached = tables["setpoints"].groupby("case")["reachable"].sum()
+    reached = table.groupby("case")["reachable"].sum()
     assert reached["intact"] == len(poses())
     assert reached["mid_locked"] < len(poses())
 
@@ -220,15 +210,12 @@ def test_no_posture_of_the_controller_beats_the_least_squares(tables, arrays):
 
 
 def test_a_failed_solve_is_in_the_table(nominal, arrays):
-    broken = {name: dict(one) for name, one in arrays.items()}
-    broken["rest-tip_passive"]["status"] = broken["rest-tip_passive"]["status"].copy()
-    broken["rest-tip_passive"]["source"] = broken["rest-tip_passive"]["source"].copy()
-    broken["rest-tip_passive"]["status"][2, 3] = 1
-    broken["rest-tip_passive"]["source"][2, 3:5] = 1
-    table = EXPERIMENT.tabulate(nominal, broken)["setpoints"].set_index(["case", "pose"])
-    assert table.loc[("tip_passive", "P3"), "solves_failed"] == 1
-    assert table.loc[("tip_passive", "P3"), "fallbacks"] == 2
-    assert table["fallbacks"].sum() == 2
+    broken = {name: array.copy() for name, array in arrays["rest-tip_passive"].items()}
+    broken["status"][2, 3] = 1
+    broken["source"][2, 3:5] = 1
+    found = EXPERIMENT.tabulate(nominal, {**arrays, "rest-tip_passive": broken})["setpoints"]
+    (row,) = found[found["solves_failed"] + found["fallbacks"] > 0].itertuples()
+    assert (row.case, row.pose, row.solves_failed, row.fallbacks) == ("tip_passive", "P3", 1, 2)
 
 
 def test_shares_of_the_workspace(tables):
@@ -240,15 +227,13 @@ def test_shares_of_the_workspace(tables):
 
 
 def test_waves_and_seeds_do_not_make_it_stale(nominal):
-    def identities(parameters):
-        return {run.name: run.identity for run in EXPERIMENT.runs(parameters)}
+    def identities(*changes):
+        return {run.name: run.identity for run in EXPERIMENT.runs(varied(nominal, changes))}
 
-    sea = replace(nominal.sea, significant_height=1.0, realisations=4)
-    first = identities(nominal)
-    assert identities(replace(nominal, sea=sea)) == first
-    stiff = identities(replace(nominal, nmpc=replace(nominal.nmpc, angle_bound=2.0)))
-    assert not set(stiff.values()) & set(first.values())
-    bare = identities(replace(nominal, nmpc=replace(nominal.nmpc, tip_weight=50.0)))
+    first = identities()
+    assert identities(("sea.significant_height", 1.0), ("sea.realisations", 4)) == first
+    assert not set(identities(("nmpc.angle_bound", 2.0)).values()) & set(first.values())
+    bare = identities(("nmpc.tip_weight", 50.0))
     assert all((bare[name] == first[name]) == name.startswith("reach") for name in first)
 
 
@@ -261,13 +246,8 @@ def test_outlines_have_the_arms_thickness(arm):
         np.testing.assert_allclose(width, diameter, rtol=1e-12)
 
 
-def test_figures_mark_what_is_out_of_reach(nominal, arrays, tables, tmp_path):
-    store = Store("setpoints", tmp_path)
-    for run in EXPERIMENT.runs(nominal):
-        store.save_run(run, arrays[run.name], {})
-    for stem, table in tables.items():
-        store.write_table(stem, table)
-    apply()
+def test_figures_mark_what_is_out_of_reach(nominal, arrays, tables):
+    store = shelf(tables, arrays)
     drawings = draw(store, nominal)
     missed = tables["setpoints"].query("case == 'mid_passive' and not reachable")["pose"]
     texts = [text.get_text() for text in drawings["setpoints"].figure.axes[1].texts]
@@ -275,8 +255,3 @@ def test_figures_mark_what_is_out_of_reach(nominal, arrays, tables, tmp_path):
         assert any(f"{pose} missed by" in text for text in texts)
     assert svg(drawings["setpoints"]) == svg(draw(store, nominal)["setpoints"])
     assert {*drawings} == {"setpoints", "workspace"}
-    plt.close("all")
-
-
-def test_cells_are_as_the_figures_take_them(arrays):
-    assert len(arrays["reach-intact"]["workspace"]) == 2 * (math.ceil(0.9 / CELL) + 1)

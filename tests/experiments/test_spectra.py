@@ -1,32 +1,31 @@
 """The experiment `spectra`: what it recovers, what it depends on, what it draws."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from invented_loops import computed, shelf
 
-from softwave_min.data import data_folder
+from softwave_min.experiments.ablation_loops import varied
 from softwave_min.figures.spectra import draw
-from softwave_min.figures.style import apply, svg
+from softwave_min.figures.style import svg
 from softwave_min.paper.cases import wave_cases
-from softwave_min.parameters import load_parameters
+from softwave_min.parameters import parameter_set
 from softwave_min.runs.source import source_files
-from softwave_min.runs.store import Store
 from softwave_min.studies.catalogue import experiment
-from softwave_min.waves import Sea, Spectrum, periodogram
+from softwave_min.waves import Sea, periodogram
 
 SPECTRA = experiment("spectra")
 
 
 @pytest.fixture(scope="module")
 def parameters():
-    return load_parameters(data_folder() / "parameters" / "calibrated.toml")
+    return parameter_set()
 
 
 @pytest.fixture(scope="module")
 def arrays(parameters):
-    return {run.name: run.compute(run.parameters) for run in SPECTRA.runs(parameters)}
+    return computed(SPECTRA, parameters)
 
 
 @pytest.fixture(scope="module")
@@ -41,14 +40,10 @@ def test_the_papers_table(tables):
     assert set(table["significant_heights"]) == {"0.5 1 1.5 2 2.5 3"}
 
 
-def test_curves_have_the_papers_height_and_period(tables):
+def test_curves_and_records_have_the_papers_height_and_period(tables):
     table = tables["spectra"]
     assert len(table) == 6
     np.testing.assert_allclose(table["curve"], table["paper"], rtol=3e-4)
-
-
-def test_records_have_them_within_the_sampling_error(tables):
-    table = tables["spectra"]
     assert table["within"].all()
     assert (table["record"] - table["paper"]).abs().le(2 * table["sampling_error"]).all()
 
@@ -79,17 +74,12 @@ def test_sampling_error_is_the_theoretical_one(parameters, arrays):
 
 
 def test_periodogram_holds_the_variance_and_finds_a_line():
+    """In steps of 1/(8 T), T the length of the record, up to half the sampling rate."""
     time = np.arange(0, 60, 0.1)
     elevation = 0.3 + 1.5 * np.cos(2 * np.pi * time / 7.5 + 0.4)
     spectrum = periodogram(elevation, 0.1)
     assert spectrum.moment(0) == pytest.approx(np.var(elevation), rel=1e-4)
     assert spectrum.peak_period == pytest.approx(7.5, rel=0.01)
-    assert isinstance(spectrum, Spectrum)
-
-
-def test_periodogram_is_refined_eightfold():
-    """From 1/T, T the length of the record, to 1/(8 T); up to half the sampling rate."""
-    spectrum = periodogram(np.sin(np.arange(600.0)), 0.1)
     np.testing.assert_allclose(np.diff(spectrum.frequency_hz), 1 / (8 * 60.0), rtol=1e-9)
     assert spectrum.frequency_hz[-1] == pytest.approx(5.0)
 
@@ -104,30 +94,24 @@ def test_the_elevation_is_that_of_the_nominal_seed(parameters, arrays):
     assert found["time"][-1] == 60
 
 
-def identities(parameters):
-    return [run.identity for run in SPECTRA.runs(parameters)]
-
-
-def test_only_the_sea_and_gravity_make_it_stale(parameters):
-    nominal = identities(parameters)
-    fluid, sea = parameters.fluid, parameters.sea
-    indifferent = [
-        replace(parameters, fluid=replace(fluid, drag_coefficient=0.7)),
-        replace(parameters, arm=replace(parameters.arm, stiffness=(2.0, 2.0, 2.0))),
-        replace(parameters, sea=replace(sea, significant_height=1.0, peak_period=7.0)),
-        replace(parameters, simulation=replace(parameters.simulation, duration=30.0)),
-    ]
-    for other in indifferent:
-        assert identities(other) == nominal
-    decisive = [
-        replace(parameters, fluid=replace(fluid, gravity=9.8)),
-        *(
-            replace(parameters, sea=replace(sea, **change))
-            for change in ({"seed": 5}, {"depth": 30.0}, {"peak_enhancement": 1.0})
-        ),
-    ]
-    for other in decisive:
-        assert not set(identities(other)) & set(nominal)
+@pytest.mark.parametrize(
+    ("field", "value", "decisive"),
+    [
+        ("fluid.drag_coefficient", 0.7, False),
+        ("arm.stiffness", (2.0, 2.0, 2.0), False),
+        ("sea.significant_height", 1.0, False),
+        ("sea.peak_period", 7.0, False),
+        ("simulation.duration", 30.0, False),
+        ("fluid.gravity", 9.8, True),
+        ("sea.seed", 5, True),
+        ("sea.depth", 30.0, True),
+        ("sea.peak_enhancement", 1.0, True),
+    ],
+)
+def test_only_the_sea_and_gravity_make_it_stale(parameters, field, value, decisive):
+    other = varied(parameters, ((field, value),))
+    for run, usual in zip(SPECTRA.runs(other), SPECTRA.runs(parameters), strict=True):
+        assert (run.identity != usual.identity) == decisive
 
 
 def test_source_of_arm_and_controllers_is_not_part_of_it():
@@ -136,16 +120,12 @@ def test_source_of_arm_and_controllers_is_not_part_of_it():
     assert not rooms & {"arm", "control", "figures"}
 
 
-def test_figure_shows_the_curves_and_the_records(parameters, arrays, tmp_path):
-    store = Store("spectra", tmp_path)
-    for run in SPECTRA.runs(parameters):
-        store.save_run(run, arrays[run.name], {})
-    apply()
-    drawing = draw(store, parameters)["spectra"]
+def test_figure_shows_the_curves_and_the_records(parameters, arrays):
+    drawing = draw(shelf({}, arrays), parameters)["spectra"]
     panels = drawing.figure.axes
     assert [len(axes.lines) for axes in panels] == [3, 1, 1, 1]
     for name, axes in zip(wave_cases(), panels[1:], strict=True):
         np.testing.assert_array_equal(axes.lines[0].get_ydata(), arrays[name]["elevation"])
         assert name in axes.get_title(loc="left")
-    assert svg(drawing) == svg(draw(store, parameters)["spectra"])
+    assert svg(drawing) == svg(draw(shelf({}, arrays), parameters)["spectra"])
     assert "6.1 s (W1), 8 s (W2), 10 s (W3)" in drawing.alt

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from invented_loops import computed
 from segments import with_segments
 
+from softwave_min.experiments.ablation_loops import varied
 from softwave_min.experiments.star_drag import EXPERIMENT, LOADS, loaded
 from softwave_min.experiments.star_loops import scenario_on_star
 from softwave_min.paper.cases import wave_cases
@@ -19,14 +19,9 @@ def test_the_loads_differ_by_drag_and_friction_alone():
     nominal = parameter_set()
     whole, bare = (loaded(nominal, load) for load in LOADS)
     assert whole.fluid.morison == bare.fluid.morison == "textbook"
-    assert bare.fluid.drag_coefficient == bare.fluid.friction_coefficient == 0
     assert whole.fluid.drag_coefficient == nominal.fluid.drag_coefficient
-    restored = replace(
-        bare.fluid,
-        drag_coefficient=whole.fluid.drag_coefficient,
-        friction_coefficient=whole.fluid.friction_coefficient,
-    )
-    assert replace(bare, fluid=restored) == whole
+    none = (("fluid.drag_coefficient", 0.0), ("fluid.friction_coefficient", 0.0))
+    assert varied(whole, none) == bare
 
 
 def test_each_load_is_tried_in_each_sea_on_one_path():
@@ -53,12 +48,9 @@ def test_errors_are_those_with_the_start_and_without():
 
 @pytest.mark.parametrize("segments", [3, 2])
 def test_the_table_has_the_error_of_each_loop(segments):
-    nominal = with_segments(parameter_set(), segments)
-    short = replace(nominal, simulation=replace(nominal.simulation, duration=11.0))
-    runs = EXPERIMENT.runs(short)
-    arrays = {run.name: run.compute(run.parameters) for run in runs}
-    table = EXPERIMENT.tabulate(short, arrays)["star_drag"]
-    for run, rmse in zip(runs, table["rmse"], strict=True):
+    short = varied(with_segments(parameter_set(), segments), (("simulation.duration", 11.0),))
+    table = EXPERIMENT.tabulate(short, computed(EXPERIMENT, short))["star_drag"]
+    for run, rmse in zip(EXPERIMENT.runs(short), table["rmse"], strict=True):
         loop = simulate(scenario_on_star(run.parameters.parameters, run.parameters.star), "nmpc")
         far = np.linalg.norm(loop.tips[:, -1] - loop.target, axis=1)
         assert rmse == pytest.approx(root_mean_square_error(far))

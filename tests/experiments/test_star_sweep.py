@@ -1,34 +1,32 @@
 """The stars beside the nominal one: which there are, and which come near the paper."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
+from invented_loops import computed, shelf
 from segments import with_segments
 
 from softwave_min.experiments import star
+from softwave_min.experiments.ablation_loops import varied
 from softwave_min.experiments.star import choice
 from softwave_min.experiments.star_loops import METRICS, STILL, follow, follow_swept, measures
 from softwave_min.experiments.star_sweep import EXPERIMENT, sweep_points
 from softwave_min.figures.star_sweep import draw
-from softwave_min.figures.style import apply, svg
+from softwave_min.figures.style import svg
 from softwave_min.paper.tolerance import SHARE
 
 
 @pytest.fixture(scope="module")
 def short(nominal):
     """Twelve seconds, in the first sea only."""
-    simulation = replace(nominal.simulation, duration=12.0)
-    return replace(nominal, simulation=simulation, sea=replace(nominal.sea, realisations=1))
+    return varied(nominal, (("simulation.duration", 12.0), ("sea.realisations", 1)))
 
 
 @pytest.fixture(scope="module")
 def table(short):
-    arrays = {run.name: run.compute(run.parameters) for run in EXPERIMENT.runs(short)}
-    return EXPERIMENT.tabulate(short, arrays)["star_sweep"]
+    return EXPERIMENT.tabulate(short, computed(EXPERIMENT, short))["star_sweep"]
 
 
 def test_sweep_holds_the_nominal_star_and_no_star_twice():
@@ -71,10 +69,8 @@ def test_candidates_are_near_the_paper_in_every_sea(table):
 
 def test_candidates_and_failed_solves_are_seen_in_the_figure(short, table):
     def drawn(rows):
-        shelf = SimpleNamespace(read_table=lambda _: rows)
-        return draw(shelf, short)["star_sweep"]
+        return draw(shelf({"star_sweep": rows}), short)["star_sweep"]
 
-    apply()
     none = drawn(table.assign(candidate=False))
     assert "(0 of all" in none.caption
     assert none.alt
@@ -83,7 +79,6 @@ def test_candidates_and_failed_solves_are_seen_in_the_figure(short, table):
     assert "(1 of all" in drawn(one).caption
     (axes,) = drawn(table.assign(solves_failed=7)).figure.axes
     assert all("[7]" in label.get_text() for label in axes.get_yticklabels())
-    plt.close("all")
 
 
 def test_other_seas_are_run_only_for_what_may_agree(short):

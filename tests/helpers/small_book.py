@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+from browser import browser_executable
+from playwright.sync_api import Page, sync_playwright
 
 from softwave_min.data import ROOT
 
@@ -28,3 +32,22 @@ def bound(folder: Path, extensions: Sequence[str], **settings: Any) -> tuple[Pat
     command = [sys.executable, "-m", "sphinx", "-q", folder / "book", folder / "site"]
     answer = subprocess.run(command, capture_output=True, text=True, check=True)
     return folder / "site", answer.stderr
+
+
+@contextmanager
+def opened(page: Path) -> Iterator[Page]:
+    """A page in a browser."""
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(
+            executable_path=str(browser_executable()), args=["--no-sandbox"]
+        )
+        tab = browser.new_page()
+        tab.goto(page.as_uri())
+        yield tab
+        browser.close()
+
+
+def shown(tab: Page, column: int = 1) -> list[str]:
+    """First lines of the visible cells of a column, of the table that can be filtered."""
+    cells = f"table.claims tbody tr:visible td:nth-child({column}) p:first-child"
+    return tab.locator(cells).all_inner_texts()

@@ -18,7 +18,8 @@ from softwave_min.native import compiler
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("bench")
     command = [sys.executable, ROOT / "bench" / "run.py", "--quick", "--output", folder]
-    subprocess.run(command, check=True, capture_output=True)
+    answer = subprocess.run(command, check=True, capture_output=True, text=True)
+    (folder / "printed.txt").write_text(answer.stdout, encoding="utf-8")
     return folder
 
 
@@ -58,6 +59,16 @@ def test_a_bar_is_judged_by_what_was_measured(written: Path) -> None:
         measured, limit = float(row["measured"]), float(row["limit"])
         met = measured >= limit if row["sense"] == "at least" else measured <= limit
         assert row["verdict"] == ("pass" if met else "MISSED")
+
+
+def test_the_parameter_set_of_an_error_is_named_where_it_is_not_the_books(written: Path) -> None:
+    printed = (written / "printed.txt").read_text(encoding="utf-8")
+    above = printed.split("change_percent")[0].splitlines()[-2]
+    assert "'physical'" in above
+    assert "book" in above
+    assert "'calibrated'" in above
+    machine = json.loads((written / "machine.json").read_text(encoding="utf-8"))
+    assert machine["parameters"] == "physical"
 
 
 def test_the_machine_is_named(written: Path) -> None:

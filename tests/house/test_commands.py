@@ -17,7 +17,7 @@ from toy_sweep import die, install, toy
 
 from softwave_min import commands
 from softwave_min.command_line import main
-from softwave_min.data import ROOT, data_folder
+from softwave_min.data import ROOT, ParameterError, data_folder
 from softwave_min.figures import files
 from softwave_min.runs import compare, executor
 from softwave_min.runs.experiment import Run, Tolerance
@@ -216,6 +216,21 @@ def test_a_second_run_computes_and_draws_nothing(toys):
     assert second == ["toy: up to date"]
 
 
+@pytest.mark.parametrize("arguments", [("run", "--jobs", "1"), ("run", "--dry-run"), ("status",)])
+def test_parameters_that_one_experiment_cannot_take_leave_the_others_alone(toys, capsys, arguments):
+    def runs(_):
+        raise ParameterError("needs an arm of two segments")
+
+    picky = replace(THREE, name="picky", runs=runs)
+    install(picky, THREE)
+    assert main(arguments) == 1
+    printed = capsys.readouterr()
+    assert printed.err == "picky: needs an arm of two segments\n"
+    assert "toy: " in printed.out
+    computed = arguments[-1] == "1"
+    assert toys("status") == f"toy: {'fresh' if computed else 'missing'}\n"
+
+
 def test_make_audit_names_all_that_is_on_request():
     recipe = (ROOT / "Makefile").read_text().partition("\naudit:")[2].splitlines()[1]
     named = recipe.rpartition(" run ")[2].split()
@@ -374,7 +389,7 @@ def test_what_is_compared_was_made_here_though_the_committed_tables_stay(tmp_pat
     command("git", "checkout", "-q", "results", folder=tmp_path)
     lenient = toy(range(3), 0.0, tolerances={"mean": Tolerance(2e-3)})
     toys("run", "--jobs", "1", known=lenient)
-    table = tmp_path / "results/toy/runs/tables/means.csv"
+    table = tmp_path / "results/runs/tables/toy/means.csv"
     table.write_text(off_by_a_thousandth(table.read_text()))
     assert "largest relative difference 1.0e-03" in toys("compare", "--strict", known=lenient)
     assert "DIFFER" in toys("compare", "--strict", status=1)

@@ -9,7 +9,13 @@ import tomllib
 import pytest
 
 from softwave_min.data import READ_LOG, ParameterError, data_folder, recording
-from softwave_min.parameters import SET_NAMES, ParameterSet, load_parameters, validate
+from softwave_min.parameters import (
+    SET_NAMES,
+    ParameterSet,
+    load_data,
+    load_parameters,
+    validate,
+)
 from softwave_min.waves.records import read_spectrum
 
 FOLDER = data_folder() / "parameters"
@@ -60,3 +66,14 @@ def test_every_read_within_a_recording_is_in_it(tmp_path, monkeypatch):
     assert inner == {path}
     assert outer == {path, FOLDER / "physical.toml"}
     assert set(log.read_text().splitlines()) == {str(path), str(FOLDER / "calibrated.toml")}
+
+
+def test_data_that_were_loaded_before_are_noted_and_loaded_anew_when_changed(tmp_path, monkeypatch):
+    monkeypatch.setattr("softwave_min.parameters.data_folder", lambda: tmp_path)
+    path = tmp_path / "numbers.toml"
+    for moment, value in enumerate((1.0, 1.0, 2.0)):
+        path.write_text(f"a = {value}\n")
+        os.utime(path, (moment, moment))
+        with recording() as found:
+            assert load_data(dict[str, float], "numbers.toml") == {"a": value}
+        assert found == {path}

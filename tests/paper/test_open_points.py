@@ -5,19 +5,21 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from collections import Counter
 from dataclasses import replace
+from operator import attrgetter
 
+import numpy as np
 import pandas as pd
 import pytest
 import small_book
 from book_pages import words
-from browser import browser_executable
 from bs4 import BeautifulSoup
-from playwright.sync_api import sync_playwright
 from pydantic import ValidationError
-from small_book import FILTERED
+from small_book import FILTERED, opened, shown
 
 from softwave_min.data import ROOT, ParameterError
+from softwave_min.experiments.ablation_loops import varied
 from softwave_min.paper.open_points import OpenPoint, Switch, open_points
 from softwave_min.parameters import SET_NAMES, parameter_set
 from softwave_min.runs.store import Store
@@ -25,11 +27,7 @@ from softwave_min.studies.open_points import GROUPS
 from softwave_min.studies.ranges import GAIN, GRADATION, plausible_ranges
 
 POINTS = {one.id: one for one in open_points()}
-SWITCHES = [
-    pytest.param(switch, id=f"{name}-{switch.field}")
-    for name, one in POINTS.items()
-    for switch in one.switches
-]
+SWITCHES = [switch for one in POINTS.values() for switch in one.switches]
 BOOK = ROOT / "book"
 NUMBER = re.compile(r"\bA\d\d\b")
 SLIP = OpenPoint(
@@ -78,9 +76,7 @@ def test_no_point_is_missing():
 
 
 def test_every_point_that_a_chapter_mentions_is_there():
-    mentioned = set().union(*pages_with_points().values())
-    assert mentioned
-    assert mentioned <= set(POINTS)
+    assert set() < set().union(*pages_with_points().values()) <= set(POINTS)
 
 
 def test_points_with_a_plausible_range_have_a_switch_for_each():
@@ -89,21 +85,16 @@ def test_points_with_a_plausible_range_have_a_switch_for_each():
         assert (GAIN if value.field == GRADATION else value.field) in fields
 
 
-@pytest.mark.parametrize("switch", SWITCHES)
+@pytest.mark.parametrize("switch", SWITCHES, ids=lambda switch: switch.field)
 @pytest.mark.parametrize("name", SET_NAMES)
 def test_a_switch_changes_its_field_and_nothing_else(switch, name):
     nominal = parameter_set(name)
-    section, field = switch.field.split(".")
+    field = attrgetter(switch.field)
     for value, other in zip(switch.values, switch.alternatives(nominal), strict=True):
-        changed = getattr(getattr(other, section), field)
-        assert changed == (tuple(value) if isinstance(value, list) else value)
-        assert changed != getattr(getattr(nominal, section), field)
-        restored = other
-        for entry in (switch.field, *switch.along):
-            part, own = entry.split(".")
-            usual = getattr(getattr(nominal, part), own)
-            restored = replace(restored, **{part: replace(getattr(restored, part), **{own: usual})})
-        assert restored == nominal
+        assert field(other) == (tuple(value) if isinstance(value, list) else value)
+        assert field(other) != field(nominal)
+        usual = {name: attrgetter(name)(nominal) for name in (switch.field, *switch.along)}
+        assert varied(other, tuple(usual.items())) == nominal
 
 
 def test_what_changes_along_with_a_switch_is_applied_value_by_value():
@@ -117,8 +108,7 @@ def test_what_changes_along_with_a_switch_is_applied_value_by_value():
 def test_the_horizon_lasts_as_long_at_every_control_period():
     nominal = parameter_set().nmpc
     (switch,) = POINTS["A21"].switches
-    for other in switch.alternatives(parameter_set()):
-        nmpc = other.nmpc
+    for nmpc in (other.nmpc for other in switch.alternatives(parameter_set())):
         lasts = nmpc.horizon * nmpc.control_period
         assert abs(lasts - nominal.horizon * nominal.control_period) < nmpc.control_period
 
@@ -131,7 +121,7 @@ def test_the_horizon_lasts_as_long_at_every_control_period():
         ("fluid.morison", "manual", "'paper' or 'textbook'"),
         ("nmpc.horizon", 0, ">= 1"),
         ("arm.density", [1050.0], "as many entries as segments"),
-        ("preview.redrawn", 1.0, "already"),
+        ("preview.redrawn", 1.0, "true or false"),
         ("fluid.morison", "paper", "already"),
     ],
 )
@@ -141,8 +131,7 @@ def test_a_switch_that_selects_nothing_is_refused(field, value, complaint):
 
 
 def test_a_switch_that_the_nominal_set_has_already_is_refused_with_its_point():
-    nominal = parameter_set()
-    textbook = replace(nominal, fluid=replace(nominal.fluid, morison="textbook"))
+    textbook = varied(parameter_set(), (("fluid.morison", "textbook"),))
     with pytest.raises(ParameterError, match=r"A03: switch: fluid\.morison"):
         open_points(textbook)
 
@@ -154,16 +143,11 @@ def test_a_point_takes_one_of_at_least_two_readings(wrong):
 
 
 @pytest.mark.parametrize("point", POINTS.values(), ids=POINTS)
-def test_a_point_leads_to_where_it_is_treated(point):
+def test_a_point_leads_to_where_it_is_treated_and_names_files_that_are_there(point):
     names = {page for page, ids in pages_with_points().items() if point.id in ids}
     assert source_of(point.page)
     assert point.page in names or not names
-    if point.label:
-        assert point.label in labels_of(point.page)
-
-
-@pytest.mark.parametrize("point", POINTS.values(), ids=POINTS)
-def test_files_that_a_point_names_are_there(point):
+    assert not point.label or point.label in labels_of(point.page)
     for path in re.findall(r"\b(?:data|results)/[\w/]+\.\w+", point.elsewhere):
         assert (ROOT / path).is_file()
 
@@ -182,19 +166,19 @@ not but can be told from another sea."""
 
 def effects():
     """A made-up table of effects: all zero but those of `EFFECTS`."""
-    rows = []
-    for name, point in POINTS.items():
-        for field in (switch.field for switch in point.switches):
-            row = {"point": name, "field": field, "status": "measured"}
-            for group in GROUPS:
-                row |= {group: 0.0, f"{group}_at": "1", f"{group}_times": 0.0}
-            row |= {"times": 0.0, **EFFECTS.get(field, {})}
-            for group in GROUPS:
-                row[f"{group}_exceeds"] = "yes" if row[group] else "no"
-            row["exceeds"] = "yes" if field in EFFECTS else "no"
-            row["matters"] = "yes" if row["times"] > 1 else "no"
-            rows.append(row)
-    table = pd.DataFrame(rows)
+    zeros = {"times": 0.0}
+    for group in GROUPS:
+        zeros |= {group: 0.0, f"{group}_at": "1", f"{group}_times": 0.0}
+    table = pd.DataFrame(
+        {"point": name, "field": switch.field, "status": "measured"}
+        | zeros
+        | EFFECTS.get(switch.field, {})
+        for name, point in POINTS.items()
+        for switch in point.switches
+    )
+    told = {f"{group}_exceeds": table[group] != 0 for group in GROUPS}
+    told |= {"exceeds": table["field"].isin(EFFECTS), "matters": table["times"] > 1}
+    table = table.assign(**{name: np.where(one, "yes", "no") for name, one in told.items()})
     table.loc[table["field"] == "arm.density", "status"] = "cannot run: the sea is not finite"
     return table
 
@@ -242,10 +226,8 @@ def test_the_snippet_of_the_page_runs():
 
 def test_the_page_counts_the_points(page):
     counted = [int(number) for number in re.findall(r'class="quoted">(\d+)<', page[0])]
-    kinds = [
-        sum(one.kind == kind for one in POINTS.values())
-        for kind in ("slip", "gap", "wording", "argument")
-    ]
+    of_kind = Counter(one.kind for one in POINTS.values())
+    kinds = [of_kind[kind] for kind in ("slip", "gap", "wording", "argument")]
     switched = sum(bool(one.switches) for one in POINTS.values())
     assert counted == [len(POINTS), *kinds, switched]
     assert sum(kinds) == len(POINTS)
@@ -288,20 +270,13 @@ def test_the_page_says_which_reading_matters_most_and_how_many_do_not(page):
     assert "; 1 could not be run (A33)." in text
 
 
-def test_the_sentences_follow_the_table(tmp_path):
-    table = effects()
-    table.loc[table["field"] == "sea.depth", ["times", "rise_times", "rise"]] = 9.0, 9.0, 31.5
-    text = bound(tmp_path, table)[0].read_text(encoding="utf-8")
-    assert "one of A30: sea.depth" in text
-    assert "cannot run: the sea is not finite" in text
-
-
-def test_text_from_the_results_is_shown_as_it_is(tmp_path):
-    """What a table says must not become markup."""
+def test_sentences_follow_the_table_and_its_text_does_not_become_markup(tmp_path):
     odd = "a <b>bold</b> {ref}`word`, *this* [too](x) $x$ & `that` | _all_"
     table = effects()
+    table.loc[table["field"] == "sea.depth", ["times", "rise_times", "rise"]] = 9.0, 9.0, 31.5
     table.loc[table["field"] == "arm.density", "status"] = odd
     text = bound(tmp_path, table)[0].read_text(encoding="utf-8")
+    assert "one of A30: sea.depth" in text
     assert odd in cells(text, "A33")[5]
 
 
@@ -311,23 +286,12 @@ def test_a_page_without_measurements_says_so(tmp_path):
 
 
 def test_the_points_can_be_filtered_by_kind_and_switch(site):
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=str(browser_executable()), args=["--no-sandbox"]
-        )
-        tab = browser.new_page()
-        tab.goto(site[0].as_uri())
-
-        def shown():
-            rows = tab.locator("table.claims tbody tr:visible td:first-child p:first-child")
-            return rows.all_inner_texts()
-
-        assert shown() == list(POINTS)
+    with opened(site[0]) as tab:
+        assert shown(tab) == list(POINTS)
         tab.get_by_label("Every kind").select_option("argument")
-        assert shown() == [name for name, one in POINTS.items() if one.kind == "argument"]
+        assert shown(tab) == [name for name, one in POINTS.items() if one.kind == "argument"]
         tab.get_by_label("Every kind").select_option("")
         tab.get_by_label("Every switch").select_option("none")
-        assert shown() == [name for name, one in POINTS.items() if not one.switches]
+        assert shown(tab) == [name for name, one in POINTS.items() if not one.switches]
         tab.get_by_label("Search the points").fill("star previewed")
-        assert shown() == ["A18"]
-        browser.close()
+        assert shown(tab) == ["A18"]

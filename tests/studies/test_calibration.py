@@ -31,17 +31,18 @@ from softwave_min.studies.ranges import (
     with_values,
 )
 
+RANGES, SEARCH = plausible_ranges(), search_settings()
 RECORD = results_folder() / "calibration" / "evaluations.csv"
 
 
 @pytest.mark.parametrize("name", ["physical", "calibrated"])
 def test_the_sets_that_ship_lie_within_the_plausible_ranges(name):
-    for value in plausible_ranges():
+    for value in RANGES:
         assert value.low <= value_in(parameter_set(name), value.field) <= value.high, value.field
 
 
 def test_a_share_of_a_range_and_its_value_belong_together():
-    for value in plausible_ranges():
+    for value in RANGES:
         assert value.at(0) == pytest.approx(value.low)
         assert value.at(1) == pytest.approx(value.high)
         middle = value.at(0.5)
@@ -51,10 +52,10 @@ def test_a_share_of_a_range_and_its_value_belong_together():
 
 
 def test_open_parameters_are_set_one_by_one(nominal):
-    for value in plausible_ranges():
+    for value in RANGES:
         changed = with_values(nominal, {value.field: value.high})
         assert value_in(changed, value.field) == pytest.approx(value.high, rel=1e-3)
-        for other in plausible_ranges():
+        for other in RANGES:
             if other.field not in {value.field, GRADATION, "baseline.proportional_gain"}:
                 found = value_in(changed, other.field)
                 assert found == value_in(nominal, other.field), (value.field, other.field)
@@ -68,7 +69,7 @@ def test_gains_fall_from_the_base_to_the_tip_about_their_mean(nominal):
 def test_the_text_of_a_set_is_the_set_and_keeps_its_comments(nominal):
     text = (data_folder() / "parameters" / "physical.toml").read_text()
     fields = open_fields()
-    other = with_values(nominal, {value.field: value.at(0.3) for value in plausible_ranges()})
+    other = with_values(nominal, {value.field: value.at(0.3) for value in RANGES})
     written = set_text(text, other, fields)
     assert validate(ParameterSet, tomllib.loads(written), source="text") == other
     assert written.count("#") == text.count("#")
@@ -77,23 +78,26 @@ def test_the_text_of_a_set_is_the_set_and_keeps_its_comments(nominal):
 
 
 def test_the_objective_counts_deviations_in_units_of_their_scale():
-    search = search_settings()
-    exact = {one.name: one.paper for one in search.number}
-    assert objective(exact, search) == 0.0
-    for one in search.number:
-        above = objective({**exact, one.name: one.paper + one.scale}, search)
-        below = objective({**exact, one.name: one.paper - one.scale}, search)
+    exact = {one.name: one.paper for one in SEARCH.number}
+    assert objective(exact, SEARCH) == 0.0
+    for one in SEARCH.number:
+        above, below, far = (
+            objective({**exact, one.name: one.paper + steps * one.scale}, SEARCH)
+            for steps in (1, -1, 100)
+        )
         assert above == pytest.approx(2 * (np.sqrt(2) - 1))
         assert below == (0.0 if one.at_most else pytest.approx(above))
-        far = objective({**exact, one.name: one.paper + 100 * one.scale}, search)
         assert far == pytest.approx(2 * 100 - 2, rel=1e-3)
+
+
+RANGES, NUMBERS = plausible_ranges(), search_settings().number  # a run reads no file
 
 
 def bowl(run):
     """Numbers that agree with the paper's at one place of the ranges only."""
-    shares = [value.share(value_in(run.parameters, value.field)) for value in plausible_ranges()]
+    shares = [value.share(value_in(run.parameters, value.field)) for value in RANGES]
     offset = np.max(np.abs(np.array(shares) - 0.4))
-    found = {one.name: np.array(one.paper + offset * 10) for one in search_settings().number}
+    found = {one.name: np.array(one.paper + offset * 10) for one in SEARCH.number}
     return {**found, "solves_failed": np.array(0)}
 
 
@@ -109,7 +113,7 @@ def test_the_search_goes_on_where_it_was_interrupted(tmp_path, monkeypatch):
 
     # Both evaluations have one identity, that of a function of this module.
     counted.__module__, counted.__qualname__ = bowl.__module__, bowl.__qualname__
-    search = replace(search_settings(), population=6, generations=4)
+    search = replace(SEARCH, population=6, generations=4)
     with Processes(1) as workers:
         monkeypatch.setattr(calibration, "headline_numbers", bowl)
         straight = calibrate(Store("straight", tmp_path / "straight"), workers, search)
@@ -124,7 +128,7 @@ def test_the_search_goes_on_where_it_was_interrupted(tmp_path, monkeypatch):
 
 
 def test_flatness_is_the_interval_of_sets_about_as_good_as_the_best():
-    values = plausible_ranges()[:2]
+    values = RANGES[:2]
     shares = np.array([[0.1, 0.5], [0.4, 0.5], [0.9, 0.6]])
     table = pd.DataFrame(
         {
@@ -146,9 +150,8 @@ def test_the_calibrated_set_is_the_best_of_the_record():
     fields = open_fields()
     start = parameter_set(calibration.START)
     assert with_values(start, best[fields].to_dict()) == parameter_set("calibrated")
-    search = search_settings()
-    assert len(record) == 1 + search.generations * search.population
-    recomputed = [objective(row, search) for row in record.to_dict("records")]
+    assert len(record) == 1 + SEARCH.generations * SEARCH.population
+    recomputed = [objective(row, SEARCH) for row in record.to_dict("records")]
     np.testing.assert_allclose(recomputed, record["objective"], rtol=1e-8)
 
 
@@ -156,7 +159,6 @@ def test_the_calibrated_set_is_the_best_of_the_record():
 def test_the_numbers_of_the_best_set_are_found_again():
     record = read_table(RECORD)
     best = best_of(record)
-    search = search_settings()
     found = headline_numbers(HeadlineRun(parameter_set("calibrated"), headline_cells()))
-    for one in search.number:
+    for one in SEARCH.number:
         assert found[one.name] == pytest.approx(best[one.name], abs=0.1 * one.scale), one.name

@@ -29,6 +29,7 @@ from softwave_min.studies.sensitivity import (
 from softwave_min.studies.sensitivity.emulator import fitted, indices, indices_sample, resampled
 
 FIELDS = open_fields()
+RANGES = {value.field: value for value in plausible_ranges()}
 TABLES = ("screening", "indices", "prediction")
 
 
@@ -52,13 +53,13 @@ TOTAL = PARTS / (1 + PARTS) * np.prod(1 + PARTS) / VARIANCE
 
 
 def test_a_polynomial_is_found_again():
-    shares = design(3, 64)
-    values = 1 + shares[:, 0] - 3 * shares[:, 1] * shares[:, 2]
-    emulator = fitted(shares, values, [1, 2, 3])
+    def polynomial(shares):
+        return 1 + shares[:, 0] - 3 * shares[:, 1] * shares[:, 2]
+
+    shares, elsewhere = design(3, 64), design(3, 16, seed=4)
+    emulator = fitted(shares, polynomial(shares), [1, 2, 3])
     assert emulator.degree == 2
-    elsewhere = design(3, 16, seed=4)
-    expected = 1 + elsewhere[:, 0] - 3 * elsewhere[:, 1] * elsewhere[:, 2]
-    np.testing.assert_allclose(emulator(elsewhere), expected, atol=1e-10)
+    np.testing.assert_allclose(emulator(elsewhere), polynomial(elsewhere), atol=1e-10)
     np.testing.assert_allclose(emulator.left_out, 0, atol=1e-10)
 
 
@@ -109,11 +110,8 @@ def test_indices_of_ishigamis_function():
 
 def known(run):
     """Numbers that three values decide, the sea a little, and all others not."""
-    shares = {
-        value.field: value.share(value_in(run.parameters, value.field))
-        for value in plausible_ranges()
-    }
-    first, second, third = (shares[field] for field in DECISIVE)
+    values = [value_in(run.parameters, field) for field in DECISIVE]
+    first, second, third = (RANGES[one].share(x) for one, x in zip(DECISIVE, values, strict=True))
     sea = 0.02 * (run.parameters.sea.seed % 3 - 1)
     found = {
         "largest_reduction_W1": 100 * (1 - np.exp(-2 + first + second * first + sea)),
@@ -220,19 +218,12 @@ def test_draws_of_the_important_values_leave_the_others_at_the_base():
 
 
 def test_elementary_effects_are_those_of_salib(finished):
-    evaluations, table = (
-        finished.read_table(one) for one in ("screening_evaluations", "screening")
-    )
+    evaluations, table = map(finished.read_table, ("screening_evaluations", "screening"))
     levels = small().screening.levels
     factors = [*FIELDS, SEA]
-    of = {value.field: value for value in plausible_ranges()}
-    grid = np.array([[of[one].share(x) for x in evaluations[one]] for one in FIELDS])
+    grid = np.array([[RANGES[one].share(x) for x in evaluations[one]] for one in FIELDS])
     grid = np.column_stack([np.round(grid.T * levels - 0.5), evaluations[SEA]]) / (levels - 1)
-    problem = {
-        "num_vars": len(factors),
-        "names": factors,
-        "bounds": [[0, 1]] * len(factors),
-    }
+    problem = {"num_vars": len(factors), "names": factors, "bounds": [[0, 1]] * len(factors)}
     for number, rows in table.groupby("number"):
         expected = morris.analyze(problem, grid, tables.on_scale(evaluations, number))
         # A step between levels is a share of the range that is smaller by one part.
@@ -263,24 +254,18 @@ def test_draws_and_what_belongs_to_them_are_left_out_together(finished):
 
 
 def test_numbers_are_taken_as_logarithms_of_errors_and_their_ratios():
-    table = pd.DataFrame(
-        {
-            "largest_reduction_W1": [75.0],
-            "lowest_reduction_W1": [-100.0],
-            "rise_W1": [100.0],
-            "rise": [0.0],
-            "rise_spread": [0.0],
-            "star_W1": [0.5],
-            "cells_below_one": [50.0],
-        }
-    )
-    found = {name: tables.on_scale(table, name)[0] for name in table}
-    assert found["largest_reduction_W1"] == pytest.approx(np.log(0.25))
-    assert found["lowest_reduction_W1"] == found["rise_W1"] == pytest.approx(np.log(2))
-    assert found["rise"] == 0
-    assert np.isfinite(found["rise_spread"])
-    assert found["star_W1"] == pytest.approx(np.log(0.5))
-    assert found["cells_below_one"] == 50
+    numbers = {
+        "largest_reduction_W1": (75.0, np.log(0.25)),
+        "lowest_reduction_W1": (-100.0, np.log(2)),
+        "rise_W1": (100.0, np.log(2)),
+        "rise": (0.0, 0.0),
+        "star_W1": (0.5, np.log(0.5)),
+        "cells_below_one": (50.0, 50.0),
+    }
+    for name, (value, expected) in numbers.items():
+        (found,) = tables.on_scale(pd.DataFrame({name: [value]}), name)
+        assert found == pytest.approx(expected), name
+    assert np.isfinite(tables.on_scale(pd.DataFrame({"rise_spread": [0.0]}), "rise_spread"))
 
 
 def test_the_study_goes_on_where_it_was_interrupted(finished, tmp_path, monkeypatch):
@@ -303,10 +288,8 @@ def test_the_study_goes_on_where_it_was_interrupted(finished, tmp_path, monkeypa
         investigate(store, workers, small())
     for stem in TABLES:
         pd.testing.assert_frame_equal(store.read_table(stem), finished.read_table(stem))
-    sets = sum(
-        len(store.read_table(f"{one}_evaluations")) for one in ("screening", "design", "draw")
-    )
-    assert len(evaluated) - 1 == sets
+    sets = (store.read_table(f"{one}_evaluations") for one in ("screening", "design", "draw"))
+    assert len(evaluated) - 1 == sum(map(len, sets))
 
 
 # --- the record -------------------------------------------------------------------------

@@ -176,31 +176,29 @@ def test_phases_leave_the_global_generator_alone(parameters):
 def test_a_spectrum_and_the_formula_make_the_same_sea(parameters, sea):
     frequency = np.arange(0.0, 5.0, 1e-4)
     spectrum = Spectrum(frequency, jonswap_density(frequency, 3.0, 10.0, 3.3))
-    same = Sea.from_spectrum(
-        spectrum,
-        (parameters.lowest_frequency_hz, parameters.highest_frequency_hz),
-        parameters.components,
-        depth=parameters.depth,
-        gravity=GRAVITY,
-        rng=np.random.default_rng(parameters.seed),
-    )
+    same = Sea.from_spectrum(spectrum, parameters, GRAVITY)
     np.testing.assert_allclose(same.amplitude, sea.amplitude, rtol=1e-4, atol=1e-8)
     np.testing.assert_array_equal(same.phase, sea.phase)
 
 
-def test_a_band_without_waves_is_refused_and_a_spectrum_without_waves_is_a_flat_sea():
+def test_a_band_without_waves_is_refused(parameters):
     spectrum = Spectrum([0.1, 0.15, 0.2], [0.0, 1.0, 0.0])
-    water = {"depth": 20.0, "gravity": GRAVITY, "rng": np.random.default_rng(0)}
+    band = replace(parameters, lowest_frequency_hz=0.3, highest_frequency_hz=0.5)
     with pytest.raises(ValueError, match="holds none of the spectrum's waves"):
-        Sea.from_spectrum(spectrum, (0.3, 0.5), 10, **water)
-    calm = Sea.from_spectrum(spectrum.scaled_to(0.0), (0.1, 0.2), 10, **water)
-    np.testing.assert_array_equal(calm.amplitude, np.zeros(10))
+        Sea.from_spectrum(spectrum, band, GRAVITY)
 
 
 def test_any_height_has_its_waves(parameters):
     for height in (1e-3, 1.0, 4.0, 8.0):
         sea = Sea.random(replace(parameters, significant_height=height), GRAVITY)
         assert 4 * math.sqrt(np.sum(sea.amplitude**2) / 2) == pytest.approx(height, rel=1e-12)
+
+
+def test_a_measured_spectrum_of_no_height_is_a_flat_sea(parameters):
+    flat = replace(parameters, significant_height=0.0)
+    sea = Sea.from_spectrum(Spectrum([0.1, 0.2], [1.0, 1.0]), flat, GRAVITY)
+    assert np.all(sea.amplitude == 0)
+    assert len(sea.amplitude) == parameters.components
 
 
 def test_no_height_no_motion(parameters):

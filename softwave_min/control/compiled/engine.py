@@ -214,9 +214,13 @@ def _library(structure: Structure) -> ctypes.CDLL:
         "command.c": lane_code(command_function(structure), WIDE, numbers),
         "cost.c": lane_code(cost, WIDE, numbers | {"weights"}),
     }
-    library = ctypes.CDLL(str(build("engine", sources)))
+    return loaded(build("engine", sources))
+
+
+def loaded(path: Path) -> ctypes.CDLL:
+    """The library with the types of its functions."""
+    library = ctypes.CDLL(str(path))
     library.engine_work.restype = ctypes.c_long
-    library.nmpc_solve.restype = None
-    library.plant_advance.restype = None
-    library.plant_follow.restype = None
+    for function in (library.nmpc_solve, library.plant_advance, library.plant_follow):
+        function.restype = None
     return library

@@ -72,13 +72,16 @@ def lane_code(
             return f"all(arg[{argument}][{element}])"
         return f"load(arg[{argument}] + {arguments * element})"
 
-    summed = isinstance(function, Summed)
+    if isinstance(function, Summed):
+        body = _summed(function, places, given)
+    else:
+        body = _straight(function, given)
     lines = [
         f"#define ARGUMENTS {arguments}",
         f"#define PLACES {places}",
         Path(__file__).with_name("lanes.h").read_text(encoding="utf-8"),
         f"void {whole.name()}(const double *const *arg, double *const *res) {{",
-        *(_summed(function, places, given) if summed else _straight(function, given)),
+        *body,
         "}\n",
     ]
     return "\n".join(lines)

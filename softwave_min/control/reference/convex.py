@@ -7,6 +7,7 @@ A program that is not solved ends in an ``UnsolvedError``: there is no step to t
 
 from __future__ import annotations
 
+import warnings
 from functools import cache
 
 import cvxpy as cp
@@ -46,7 +47,9 @@ def solve(program: cp.Problem) -> None:
         If its status is any but optimal.
     """
     try:
-        program.solve(**SETTINGS)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that it may be inaccurate: the error says so
+            program.solve(**SETTINGS)
     except cp.SolverError as error:
         raise UnsolvedError(f"cvxpy: {error}") from error
     if program.status != cp.OPTIMAL:

@@ -22,7 +22,6 @@ from softwave_min.arm import Arm, Structure, Values
 from softwave_min.control.baseline import InnerLoop
 from softwave_min.control.predictor import PeriodSteps, stage_function
 from softwave_min.control.problem import (
-    Period,
     Problem,
     Solution,
     Status,
@@ -171,8 +170,16 @@ def _multiple_shooting(transition: ca.Function, n: int, horizon: int) -> Any:
     for k in range(horizon):
         q_bar, after = ca.MX.sym(f"q_bar_{k}", n), ca.MX.sym(f"x_{k + 1}", 2 * n)
         reached, tip, torque = transition(x, q_bar, flow[:, k], disturbance[:, k], gains, values)
-        period = Period(tip, torque, q_bar, before, reference[:, k], ca.MX(k + 1 == horizon))
-        cost += ca.sumsqr(residual(*vars(period).values(), weights))
+        stated = residual(
+            tip=tip,
+            torque=torque,
+            command=q_bar,
+            former=before,
+            reference=reference[:, k],
+            last=k + 1 == horizon,
+            weights=weights,
+        )
+        cost += ca.sumsqr(stated["residual"])
         gaps.append(reached - after)
         unknown += [q_bar, after]
         x, before = after, q_bar

@@ -56,14 +56,9 @@ class Emulator:
 
 
 def fitted(shares: Floats, values: Floats, degrees: Sequence[int]) -> Emulator:
-    """The polynomial that predicts the points left out best.
+    """The polynomial that predicts the points left out best, from values (n,) at shares (n, d).
 
-    Parameters
-    ----------
-    shares : (n, d) array
-    values : (n,) array
-    degrees : sequence of int
-        Total degrees to try; those with fewer terms than half the points count.
+    Of the total degrees to try, those with fewer terms than half the points count.
     """
     tried = (_least_squares(shares, values, _powers(shares.shape[1], one)) for one in degrees)
     return min(
@@ -123,23 +118,16 @@ def indices_sample(variables: int, size: int, seed: int) -> Floats:
 
 
 def indices(values: Floats, variables: int) -> tuple[Floats, Floats]:
-    """First- and total-order indices from the values on Saltelli's sample.
+    """First- and total-order indices, (variables, functions) each.
 
-    Parameters
-    ----------
-    values : (size (variables + 2), functions) array
-
-    Returns
-    -------
-    first, total : (variables, functions) arrays
-        Share of the variance that goes with a variable alone, and with all its interactions;
-        NaN where there is none.
+    From the values on Saltelli's sample, (size (variables + 2), functions): the share of the
+    variance that goes with a variable alone, and with all its interactions; NaN where there is
+    none.
     """
     with np.errstate(invalid="ignore"):
         values = (values - values.mean(axis=0)) / values.std(axis=0)
     blocks = values.reshape(-1, variables + 2, *values.shape[1:])
     a, b = blocks[:, 0], blocks[:, -1]
-    of = [blocks[:, one + 1] for one in range(variables)]
-    first = [first_order(a, one, b) for one in of]
-    total = [total_order(a, one, b) for one in of]
+    mixed = [blocks[:, one + 1] for one in range(variables)]
+    first, total = ([order(a, one, b) for one in mixed] for order in (first_order, total_order))
     return np.array(first), np.array(total)

@@ -117,15 +117,11 @@ def screening(settings: Study) -> list[Sample]:
         optimal_trajectories=chosen.trajectories,
         seed=settings.seed,
     )
-    levels = np.round(grid * (chosen.levels - 1)).astype(int)
-    return [
-        Sample(
-            f"screening-{index:03d}",
-            _values(settings, fields, (row[:-1] + 0.5) / chosen.levels),
-            int(row[-1]),
-        )
-        for index, row in enumerate(levels)
-    ]
+    found = []
+    for index, row in enumerate(np.round(grid * (chosen.levels - 1))):
+        values = _values(settings, fields, (row[:-1] + 0.5) / chosen.levels)
+        found.append(Sample(f"screening-{index:03d}", values, int(row[-1])))
+    return found
 
 
 def design(settings: Study, fields: Sequence[str]) -> list[Sample]:
@@ -147,14 +143,10 @@ def draws(settings: Study, fields: Sequence[str]) -> list[Sample]:
     shares = settings.generator(2).random((settings.draws, len(every)))
     found = []
     for index, row in enumerate(shares):
-        alone = [row[every.index(one)] for one in fields]
+        alone = _values(settings, fields, [row[every.index(one)] for one in fields])
+        whole = _values(settings, every, row)
         unseen = settings.screening.levels + index
-        for drawn, named, of_named, sea in (
-            (ALONE, fields, alone, 0),
-            (ALL, every, row, 0),
-            (OTHER_SEA, every, row, unseen),
-        ):
-            values = _values(settings, named, of_named)
+        for drawn, values, sea in ((ALONE, alone, 0), (ALL, whole, 0), (OTHER_SEA, whole, unseen)):
             found.append(Sample(f"draw-{index:03d}-{drawn}", values, sea, drawn))
     return found
 

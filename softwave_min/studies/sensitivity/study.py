@@ -7,9 +7,8 @@ r"""The study, step by step.
    variance-based indices are computed on it.
 3. *Draws* not seen before, of all values, which the emulators have to predict.
 
-Why emulators: sampled directly, intervals of a tenth for the indices of a few values take
-thousands of sets at some seconds each. Far fewer determine a smooth function of these
-values, fits to resamples of them show how well, and the third step needs it anyway.
+Why emulators: sampled directly, intervals of a tenth for a few indices take thousands of sets
+at some seconds each. Far fewer determine a smooth function, and resamples show how well.
 
 ``data/studies/sensitivity.toml`` fixes all of it beforehand. Each set that is judged is a
 run of the store: what is interrupted goes on where it was.
@@ -21,7 +20,6 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from softwave_min.experiments.closed_loop import prepare
 from softwave_min.parameters import parameter_set
 from softwave_min.runs.executor import Executor
 from softwave_min.runs.experiment import Experiment, RunArrays, Tables
@@ -62,7 +60,6 @@ def _evaluate(samples: Sequence[Sample], store: Store, workers: Executor, settin
         claims=(),
         runs=lambda _: runs,
         tabulate=lambda _, arrays: _tables(samples, settings, arrays),
-        prepare=prepare,
     )
     compute(step, parameter_set(settings.base), store, workers)
 
@@ -89,13 +86,6 @@ def _evaluations(samples: Sequence[Sample], arrays: RunArrays) -> pd.DataFrame:
     for sample in samples:
         found = arrays[sample.name]
         numbers = {} if "failure" in found else {name: float(found[name]) for name in found}
-        rows.append(
-            {
-                "sample": sample.name,
-                **({"drawn": sample.drawn} if sample.drawn else {}),
-                SEA: sample.sea,
-                **sample.values,
-                **numbers,
-            }
-        )
+        drawn = {"drawn": sample.drawn} if sample.drawn else {}
+        rows.append({"sample": sample.name, **drawn, SEA: sample.sea, **sample.values, **numbers})
     return pd.DataFrame(rows)

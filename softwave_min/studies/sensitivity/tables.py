@@ -74,9 +74,9 @@ def effects(evaluations: pd.DataFrame, number: str, settings: Study) -> Floats:
     factors = levels.shape[1]
     steps = np.diff(levels.reshape(-1, factors + 1, factors), axis=1) / count
     changes = np.diff(on_scale(evaluations, number).reshape(-1, factors + 1), axis=1)
-    which = np.abs(steps).argmax(axis=2)
-    found = changes / np.take_along_axis(steps, which[:, :, None], axis=2)[:, :, 0]
-    return np.take_along_axis(found, which.argsort(axis=1), axis=1)
+    # Each step changes one factor.
+    found = changes / steps.sum(axis=2)
+    return np.take_along_axis(found, np.abs(steps).argmax(axis=2).argsort(axis=1), axis=1)
 
 
 def screening_table(evaluations: pd.DataFrame, settings: Study) -> pd.DataFrame:
@@ -89,9 +89,8 @@ def screening_table(evaluations: pd.DataFrame, settings: Study) -> pd.DataFrame:
     """
     factors = [*open_fields(), SEA]
     generator = settings.generator(3)
-    tables = []
+    rows = []
     for number in number_names(evaluations):
-        rows = []
         for factor, every in zip(factors, effects(evaluations, number, settings).T, strict=True):
             found = every[np.isfinite(every)]
             size = (settings.screening.resamples, len(found))
@@ -107,13 +106,13 @@ def screening_table(evaluations: pd.DataFrame, settings: Study) -> pd.DataFrame:
                     "effects": len(found),
                 }
             )
-        table = pd.DataFrame(rows)
-        largest = table.loc[table["field"] != SEA, "mu_star"].max()
-        table["mu_star_normalised"] = table["mu_star"] / largest if largest > 0 else 0.0
-        # Rounding must not decide between equals.
-        table["rank"] = table["mu_star"].round(9).rank(ascending=False, method="min").astype(int)
-        tables.append(table)
-    return pd.concat(tables, ignore_index=True)
+    table = pd.DataFrame(rows)
+    numbers = table["number"]
+    largest = table["mu_star"].where(table["field"] != SEA).groupby(numbers).transform("max")
+    table["mu_star_normalised"] = (table["mu_star"] / largest).where(largest > 0, 0.0)
+    # Rounding must not decide between equals.
+    ranks = table["mu_star"].round(9).groupby(numbers).rank(ascending=False, method="min")
+    return table.assign(rank=ranks.astype(int))
 
 
 def importance(table: pd.DataFrame) -> pd.Series[float]:
@@ -153,35 +152,29 @@ def index_table(evaluations: pd.DataFrame, settings: Study) -> pd.DataFrame:
     fields = varied(evaluations)
     shares = _shares(evaluations, fields)
     points = indices_sample(len(fields), settings.design.indices_sample, settings.seed)
-    rows = []
+    parts = []
     for place, (number, emulator) in enumerate(emulators(evaluations, settings).items()):
         values = on_scale(evaluations, number)
         generator = settings.generator(100 + place)
         many = resampled(emulator, shares, values, settings.design.resamples, generator)
-        first, total = indices(emulator(points)[:, None], len(fields))
-        first_ends, total_ends = (
-            _ends(estimates[:, 0], one, settings)
-            for estimates, one in zip(
-                (first, total), indices(many(points), len(fields)), strict=True
-            )
-        )
+        found = {}
+        for name, estimates, replicates in zip(
+            ("first", "total"),
+            indices(emulator(points)[:, None], len(fields)),
+            indices(many(points), len(fields)),
+            strict=True,
+        ):
+            low, high = np.quantile(replicates, settings.quantiles, axis=1)
+            estimate = estimates[:, 0]
+            # Where a fit to a resample is biased, as it is where the emulator explains little,
+            # the interval still reaches the estimate.
+            found[name] = estimate
+            found[f"{name}_low"] = np.minimum(low, estimate)
+            found[f"{name}_high"] = np.maximum(high, estimate)
+        table = pd.DataFrame({"number": number, "field": fields, **found})
         explained = _explained(values, values - emulator.left_out)
-        for index, one in enumerate(fields):
-            rows.append(
-                {
-                    "number": number,
-                    "field": one,
-                    "first": first[index, 0],
-                    "first_low": first_ends[0, index],
-                    "first_high": first_ends[1, index],
-                    "total": total[index, 0],
-                    "total_low": total_ends[0, index],
-                    "total_high": total_ends[1, index],
-                    "degree": emulator.degree,
-                    "explained": explained,
-                }
-            )
-    return pd.DataFrame(rows)
+        parts.append(table.assign(degree=emulator.degree, explained=explained))
+    return pd.concat(parts, ignore_index=True)
 
 
 def prediction_table(
@@ -223,16 +216,6 @@ def prediction_table(
                 }
             )
     return pd.DataFrame(rows)
-
-
-def _ends(estimates: Floats, replicates: Floats, settings: Study) -> Floats:
-    """Ends of intervals from the replicates of estimates, (2, estimates).
-
-    Where a fit to a resample is biased, as it is where the emulator explains little, the interval
-    still reaches the estimate.
-    """
-    low, high = np.quantile(replicates, settings.quantiles, axis=1)
-    return np.array([np.minimum(low, estimates), np.maximum(high, estimates)])
 
 
 def _explained(values: Floats, predicted: Floats) -> float:

@@ -6,7 +6,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Literal
 
-import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
@@ -48,14 +47,12 @@ def read_spectrum(
     Parameters
     ----------
     path : Path or str
-        The file, plain or compressed (``.gz``).
     time : datetime, optional
-        Time of the record, UTC unless it has a zone. It selects the record of an NDBC
-        file with more than one (exactly) and of a WaveNet file (the nearest). A Datawell
-        file and a table have one record and no time in it: they take this one.
+        Of the record, UTC unless it has a zone. It selects the record of an NDBC file with
+        more than one (exactly) and of a WaveNet file (the nearest). A Datawell file and a
+        table have one record and no time in it: they take this one.
     file_format : {'detect', 'ndbc', 'datawell', 'table', 'wavenet'}
-        See `read_ndbc`, `read_datawell`, `read_table`, `read_wavenet`. Unless it is named,
-        the ending ``.spt`` or the first line decides.
+        See ``read_<format>``. Unless it is named, the ending ``.spt`` or the first line decides.
     peak_enhancement : float
         JONSWAP's gamma, for a WaveNet file alone: it has height and period, no spectrum.
 
@@ -89,27 +86,16 @@ def named_records(path: Path) -> dict[str, BuoyRecord]:
     ParameterError
         If the list or a file in it cannot be read, or a record is not there.
     """
-    entries = {
-        name: validate(_Entry, table, source=f"{path}: {name}")
-        for name, table in read_toml(path).items()
-    }
-    return {
-        name: read_spectrum(
-            path.parent / entry.file,
-            entry.time,
-            entry.file_format,
-            peak_enhancement=entry.peak_enhancement,
-        )
-        for name, entry in entries.items()
-    }
+    found = {}
+    for name, table in read_toml(path).items():
+        entry = validate(_Entry, table, source=f"{path}: {name}")
+        file, gamma = path.parent / entry.file, entry.peak_enhancement
+        found[name] = read_spectrum(file, entry.time, entry.file_format, peak_enhancement=gamma)
+    return found
 
 
 def measured_sea(record: BuoyRecord, parameters: SeaParameters, gravity: float) -> Sea:
-    """A sea with a measured spectrum in place of the JONSWAP curve.
-
-    Height, depth, band, number of components and phases come from ``parameters``, as in
-    `Sea.random`; the record gives the shape. ``peak_period`` and ``peak_enhancement``
-    are not read.
+    """`Sea.from_spectrum` with the spectrum of a record.
 
     Raises
     ------
@@ -117,14 +103,7 @@ def measured_sea(record: BuoyRecord, parameters: SeaParameters, gravity: float) 
         If the record has no waves in the band.
     """
     try:
-        return Sea.from_spectrum(
-            record.spectrum.scaled_to(parameters.significant_height),
-            (parameters.lowest_frequency_hz, parameters.highest_frequency_hz),
-            parameters.components,
-            depth=parameters.depth,
-            gravity=gravity,
-            rng=np.random.default_rng(parameters.seed),
-        )
+        return Sea.from_spectrum(record.spectrum, parameters, gravity)
     except ValueError as error:
         raise ParameterError(f"record of {record.time or 'no time'}: {error}") from None
 

@@ -24,12 +24,7 @@ def read_datawell(path: Path, time: datetime | None = None) -> BuoyRecord:
     S/S_max, direction, spread, skewness, kurtosis. Only H_s, S_max and the first two
     columns are read.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    time : datetime, optional
-        Time of the record, UTC: the file has none in it.
+    The record is given ``time``, UTC, for the file has none in it.
 
     Raises
     ------
@@ -40,17 +35,12 @@ def read_datawell(path: Path, time: datetime | None = None) -> BuoyRecord:
     # the last lines of the header may end in a degree sign of any encoding
     lines = read_lines(path, "latin-1")
     header, rows = lines[:HEADER_LINES], lines[HEADER_LINES:]
+    expected = f"expected {HEADER_LINES} lines of one number each, then rows of '{COLUMNS}'"
     for line, text in enumerate(header, start=1):
         if "," in text:
-            raise ParameterError(
-                f"{path}:{line}: not a Datawell .spt file:"
-                f" expected {HEADER_LINES} lines of one number each, then rows of '{COLUMNS}'"
-            )
+            raise ParameterError(f"{path}:{line}: not a Datawell .spt file: {expected}")
     if not rows:
-        raise ParameterError(
-            f"{path}:{len(lines)}: ends in its header: expected {HEADER_LINES} lines,"
-            f" then rows of '{COLUMNS}'"
-        )
+        raise ParameterError(f"{path}:{len(lines)}: ends in its header: {expected}")
     highest = number(path, 4, header[3])
     densities = []
     for line, text in enumerate(rows, start=HEADER_LINES + 1):

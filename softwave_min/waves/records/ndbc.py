@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import datetime
+from operator import attrgetter
 from pathlib import Path
 
 from softwave_min.data import ParameterError
@@ -44,7 +45,7 @@ def read_ndbc(path: Path) -> tuple[BuoyRecord, ...]:
     stamp = 5 if header[4:5] == ["mm"] else 4
     paired = header[-1] == ">"
     frequencies = () if paired else _numbers(path, 1, header[stamp:])
-    records: list[tuple[datetime, BuoyRecord]] = []
+    records: list[BuoyRecord] = []
     for line, text in enumerate(lines[1:], start=2):
         words = text.split()
         if not words or words[0].startswith("#"):
@@ -56,11 +57,10 @@ def read_ndbc(path: Path) -> tuple[BuoyRecord, ...]:
             frequencies = _numbers(path, line, pairs[1::2])
         else:
             densities = _numbers(path, line, words[stamp:])
-        record = BuoyRecord(time, frequencies, densities)
-        _check(path, line, record)
+        record = _checked(path, line, BuoyRecord(time, frequencies, densities))
         if MISSING not in densities:
-            records.append((time, record))
-    return tuple(record for _, record in sorted(records, key=lambda entry: entry[0]))
+            records.append(record)
+    return tuple(sorted(records, key=attrgetter("time")))
 
 
 def _time(path: Path, line: int, words: list[str]) -> datetime:
@@ -79,13 +79,12 @@ def _numbers(path: Path, line: int, words: list[str]) -> tuple[float, ...]:
     return tuple(MISSING if word == "MM" else number(path, line, word) for word in words)
 
 
-def _check(path: Path, line: int, record: BuoyRecord) -> None:
+def _checked(path: Path, line: int, record: BuoyRecord) -> BuoyRecord:
     if len(record.density) != len(record.frequency_hz):
-        raise ParameterError(
-            f"{path}:{line}: {len(record.density)} densities"
-            f" for {len(record.frequency_hz)} frequencies"
-        )
+        counts = f"{len(record.density)} densities for {len(record.frequency_hz)} frequencies"
+        raise ParameterError(f"{path}:{line}: {counts}")
     try:
         _ = record.spectrum
     except ValueError as error:
         raise ParameterError(f"{path}:{line}: {error}") from None
+    return record

@@ -34,16 +34,7 @@ class BuoyRecord:
 def record_of_rows(
     path: Path, rows: Sequence[tuple[int, float, float]], time: datetime | None
 ) -> BuoyRecord:
-    """A record from a file with one frequency a line.
-
-    Parameters
-    ----------
-    path : Path
-        The file, for complaints.
-    rows : sequence of tuple
-        Number of the line, frequency in Hz, density in m^2/Hz.
-    time : datetime or None
-        Time of the record, UTC.
+    """A record from a file with one frequency a line: its number, f in Hz, S in m^2/Hz.
 
     Raises
     ------

@@ -16,14 +16,8 @@ def read_table(path: Path, time: datetime | None = None) -> BuoyRecord:
     """Read a CSV file ``f_hz, S_m2_per_hz``, plain or compressed (``.gz``).
 
     The names may stand in the first line or not; other names are refused, for they may
-    stand for other units. Empty lines are skipped.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    time : datetime, optional
-        Time of the record, UTC: the file has none in it.
+    stand for other units. Empty lines are skipped. The record is given ``time``, UTC, for
+    the file has none in it.
 
     Raises
     ------
@@ -38,8 +32,7 @@ def read_table(path: Path, time: datetime | None = None) -> BuoyRecord:
         try:
             frequency, density = (float(word) for word in words)
         except ValueError:
-            raise ParameterError(
-                f"{path}:{line}: {text!r}: expected two numbers, '{', '.join(COLUMNS)}'"
-            ) from None
+            expected = f"expected two numbers, '{', '.join(COLUMNS)}'"
+            raise ParameterError(f"{path}:{line}: {text!r}: {expected}") from None
         rows.append((line, frequency, density))
     return record_of_rows(path, rows, time)

@@ -33,13 +33,7 @@ def read_lines(path: Path, encoding: str = "utf-8-sig") -> list[str]:
 
 
 def number(path: Path, line: int, word: str) -> float:
-    """The number that a word of a line is.
-
-    Raises
-    ------
-    ParameterError
-        If it is none.
-    """
+    """The number that a word of a line is, or a `ParameterError`."""
     try:
         return float(word)
     except ValueError:

@@ -37,9 +37,8 @@ class SeaState:
 
     def parameters(self, sea: SeaParameters) -> SeaParameters:
         """The parameters ``sea`` with this height and peak period."""
-        return replace(
-            sea, significant_height=self.significant_height, peak_period=self.peak_period
-        )
+        height, period = self.significant_height, self.peak_period
+        return replace(sea, significant_height=height, peak_period=period)
 
     def record(self, peak_enhancement: float) -> BuoyRecord:
         """The JONSWAP curve of this height, peak period and gamma, as a record."""
@@ -81,11 +80,7 @@ def read_wavenet(path: Path, time: datetime) -> SeaState:
     if nearest is None or abs(nearest[0] - wanted) > MOST_DISTANT:
         raise ParameterError(f"{path}: no record within an hour of {wanted}")
     found, line, cells = nearest
-    return SeaState(
-        found,
-        _value(path, line, cells, height),
-        _value(path, line, cells, PERIOD),
-    )
+    return SeaState(found, *(_value(path, line, cells, name) for name in (height, PERIOD)))
 
 
 def _time(path: Path, line: int, text: str) -> datetime:
