@@ -159,10 +159,7 @@ def mutants(room: str) -> Iterator[WorkItem]:
 
 
 def database(room: str, *, again: bool) -> Path:
-    """Results of a room, under a name that says for which source and which tests.
-
-    ``again`` takes over those of the same source with other tests.
-    """
+    """Results for this source and these tests; ``again`` takes over those of other tests."""
 
     def digest(*places: str) -> str:
         files = sorted(file for place in places for file in (ROOT / place).rglob("*.py"))
@@ -187,10 +184,7 @@ def settle(folder: str) -> None:
 
 
 def fork_tests(room: str, stage: list[str], limit: int) -> tuple[int, float]:
-    """Exit status and processor time, in s, of the tests in a process of their own.
-
-    The child has the libraries in memory; to load them takes longer than most mutants live.
-    """
+    """Exit status and processor time, in s, of the tests in a child, which has the libraries."""
     child = os.fork()
     if child == 0:
         # Processor time, not a clock's: the machine may have other work.
@@ -270,11 +264,8 @@ def main() -> int:
     parser.add_argument("--room", choices=ROOMS, help="this room alone")
     parser.add_argument("--only", default="", help="mutants whose name has this in it")
     parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1))
-    parser.add_argument(
-        "--survivors",
-        action="store_true",
-        help="test again those that survived; what older tests killed stays dead",
-    )
+    again = "test again those that survived; what older tests killed stays dead"
+    parser.add_argument("--survivors", action="store_true", help=again)
     asked = parser.parse_args()
     os.nice(10)
     lines = EXPLAINED.read_text(encoding="utf-8").splitlines()

@@ -79,15 +79,7 @@ class Watch:
             self.faults.append(f"failed request: {request.url}")
 
     def open(self, address: str, formulas: int) -> list[str]:
-        """Open a page at all widths; return its faults.
-
-        Parameters
-        ----------
-        address : str
-            Below the origin.
-        formulas : int
-            How many formulas the page has.
-        """
+        """Open a page with so many formulas at all widths; return its faults."""
         self.faults.clear()
         self.tab.set_viewport_size({"width": WIDTHS[0], "height": 900})
         self.tab.goto(self.origin + address)

@@ -10,16 +10,8 @@ from urllib.parse import unquote, urlsplit
 
 from bs4 import BeautifulSoup, Tag
 
-LOADED = {
-    "script": ("src",),
-    "link": ("href",),
-    "img": ("src",),
-    "iframe": ("src",),
-    "source": ("src",),
-    "video": ("src", "poster"),
-    "audio": ("src",),
-    "object": ("data",),
-}
+LOADED = dict.fromkeys(("script", "img", "iframe", "source", "audio"), ("src",))
+LOADED |= {"link": ("href",), "video": ("src", "poster"), "object": ("data",)}
 """Attributes that make a browser load something by itself."""
 
 

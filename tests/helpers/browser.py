@@ -13,21 +13,14 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-NAMES = (
-    "chromium",
-    "chromium-browser",
-    "google-chrome",
-    "google-chrome-stable",
-    "chrome",
-    "microsoft-edge",
-    "microsoft-edge-stable",
-    "msedge",
-)
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+NAMES += ("microsoft-edge", "microsoft-edge-stable", "msedge")
 PLACES = (
     "/snap/bin/chromium",
-    "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome",
-    "/Applications/Chromium.app/Contents/MacOS/Chromium",
-    "/Applications/Microsoft Edge.app/Contents/MacOS/Microsoft Edge",
+    *(
+        f"/Applications/{name}.app/Contents/MacOS/{name}"
+        for name in ("Google Chrome", "Chromium", "Microsoft Edge")
+    ),
 )
 INSTALL_TIMEOUT = 900
 """Longest that an installation may take, in s."""
@@ -39,16 +32,7 @@ class NoBrowserError(RuntimeError):
 
 @cache
 def browser_executable() -> Path:
-    """Path of a browser that starts.
-
-    One on the machine is taken first, then the one that playwright installs, then Debian's
-    package if this user may install it.
-
-    Raises
-    ------
-    NoBrowserError
-        If none can be had.
-    """
+    """Path of a browser that starts: the machine's, else playwright's, else Debian's package."""
     for find in (on_the_machine, from_playwright, from_debian):
         for path in find():
             if starts(path):
@@ -94,16 +78,9 @@ def starts(path: Path) -> bool:
 def succeeds(*command: str) -> bool:
     """Run a command without a word; whether it succeeded."""
     quietly = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
+    options = {"stdin": subprocess.DEVNULL, "capture_output": True, "env": quietly}
     try:
-        answer = subprocess.run(
-            command,
-            check=False,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            timeout=INSTALL_TIMEOUT,
-            env=quietly,
-        )
+        answer = subprocess.run(command, check=False, timeout=INSTALL_TIMEOUT, **options)
     except (OSError, subprocess.TimeoutExpired):
         return False
     return answer.returncode == 0

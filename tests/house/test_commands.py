@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import socket
-import subprocess
 import sys
 import time
 from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
+from shell import command
 from toy_sweep import die, install, toy
 
 from softwave_min import commands
@@ -29,19 +28,6 @@ TARGETS = {
     "help", "test", "environment", "mutation", "seeds", "audit", "calibration", "sensitivity",
     "record", "lint",
 }  # fmt: skip
-
-
-def command(*arguments, folder=ROOT, **environment):
-    """Run a command to its end; what it printed and its exit status."""
-    return subprocess.run(
-        [str(argument) for argument in arguments],
-        cwd=folder,
-        env={**os.environ, **{name: str(value) for name, value in environment.items()}},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
-    )
 
 
 def softwave(*arguments, **options):

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import json
-import os
 import re
-import subprocess
 import sys
 import tomllib
 import venv
@@ -16,6 +14,7 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+from shell import command, python
 
 import softwave_min as sw
 from softwave_min.data import ROOT
@@ -23,21 +22,6 @@ from softwave_min.native import compiler
 
 HEAVY = {"SALib", "cma", "cvxpy", "distributed", "duckdb", "loky", "matplotlib", "pandas", "tqdm"}
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-
-
-def python(code, *, command=(sys.executable,), folder=ROOT, **environment):
-    """What Python prints on a piece of code."""
-    answer = subprocess.run(
-        [*command, "-c", code],
-        cwd=folder,
-        env={**os.environ, **environment},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
-    )
-    assert answer.returncode == 0, answer.stderr
-    return answer.stdout
 
 
 def test_the_front_door_is_fifteen_names():
@@ -87,9 +71,9 @@ def installed(tmp_path_factory):
     folder = tmp_path_factory.mktemp("wheel")
     python(f"import hatchling.build; hatchling.build.build_wheel({str(folder)!r})")
     venv.create(folder / "venv", symlinks=True)
-    command = (str(folder / "venv" / "bin" / "python"),)
+    interpreter = folder / "venv" / "bin" / "python"
     where = "import sysconfig; print(sysconfig.get_path('purelib'))"
-    site = Path(python(where, command=command).strip())
+    site = Path(python(where, interpreter=interpreter).strip())
     (wheel,) = folder.glob("*.whl")
     zipfile.ZipFile(wheel).extractall(site)
     (own,) = importlib.metadata.distributions(path=[str(site)])
@@ -103,7 +87,7 @@ def installed(tmp_path_factory):
         waiting += found.requires or []
         for top in {file.parts[0] for file in found.files} - {"..", "__pycache__"}:
             (site / top).symlink_to(found.locate_file(top))
-    return command, folder, site
+    return interpreter, folder, site
 
 
 EXAMPLE = """
@@ -122,9 +106,10 @@ except ImportError as error:
 
 
 def test_a_wheel_alone_compares_controllers_in_the_example_sea(installed):
-    command, folder, site = installed
+    interpreter, folder, site = installed
     before = {path for path in site.rglob("*") if "__pycache__" not in path.parts}
-    printed = python(EXAMPLE, command=command, folder=folder, XDG_CACHE_HOME=str(folder / "cache"))
+    own = {"folder": folder, "XDG_CACHE_HOME": folder / "cache"}
+    printed = python(EXAMPLE, interpreter=interpreter, **own)
     here = python(EXAMPLE).splitlines()
     _, baseline, nmpc, *missing = printed.splitlines()
     assert [baseline, nmpc] == here[1:3]
@@ -135,11 +120,8 @@ def test_a_wheel_alone_compares_controllers_in_the_example_sea(installed):
 
 
 def test_the_experiments_ask_for_the_projects_folder_in_one_line(installed):
-    command, folder, _ = installed
-    answer = subprocess.run(
-        [*command, "-m", "softwave_min", "list"], cwd=folder, capture_output=True, text=True,
-        check=False,
-    )  # fmt: skip
+    interpreter, folder, _ = installed
+    answer = command(interpreter, "-m", "softwave_min", "list", folder=folder)
     assert (answer.returncode, answer.stdout, answer.stderr.count("\n")) == (2, "", 1)
     assert "project's folder" in answer.stderr
 
@@ -159,21 +141,17 @@ def test_every_line_of_a_recipe_is_a_command_by_itself():
     text = (ROOT / "Makefile").read_text()
     targets = set(re.findall(r"(?m)^([a-z]+):.*##", text)) - {"lock"}  # which needs uv
     for choice in ("UV=uv", "UV="):
-        recipes = subprocess.run(
-            ["make", "-n", "-B", *targets, choice, f"PYTHON={sys.executable}"],
-            cwd=ROOT, capture_output=True, text=True, check=True,
-        ).stdout  # fmt: skip
+        recipes = command("make", "-n", "-B", *targets, choice, f"PYTHON={sys.executable}").stdout
+        assert len(recipes.splitlines()) > len(targets)
         for line in set(recipes.replace("\\\n", " ").splitlines()):
-            assert subprocess.run(["sh", "-n", "-c", line], check=False).returncode == 0, line
+            assert command("sh", "-n", "-c", line).returncode == 0, line
         assert all((ROOT / name).is_file() for name in re.findall(r"[\w/]+\.py\b", recipes))
     for newer in (".ONESHELL", ".SHELLFLAGS", "!=", "$(file"):  # than 3.81
         assert newer not in re.sub(r"(?m)^(#|\t).*", "", text)
 
 
 def test_make_record_says_that_results_and_notebooks_are_to_be_written():
-    recipe = subprocess.run(
-        ["make", "-n", "record"], cwd=ROOT, capture_output=True, text=True, check=True
-    ).stdout
+    recipe = command("make", "-n", "record").stdout
     assert "-m softwave_min run --record\n" in recipe
     assert "notebooks/execute.py --record\n" in recipe
 
@@ -191,8 +169,6 @@ def test_nbval_passes_over_what_may_differ_without_being_told_to(tmp_path):
     kernel = {"kernelspec": {"display_name": "Python 3", "name": "python3"}}
     notebook = {"cells": [cell], "metadata": kernel, "nbformat": 4, "nbformat_minor": 5}
     (tmp_path / "one.ipynb").write_text(json.dumps(notebook))
-    answer = subprocess.run(
-        [sys.executable, "-m", "pytest", "--nbval", "-c", "pyproject.toml", str(tmp_path)],
-        cwd=ROOT, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    options = ("--nbval", "-c", "pyproject.toml", tmp_path)
+    answer = command(sys.executable, "-m", "pytest", *options)
     assert "1 passed" in answer.stdout, answer.stdout

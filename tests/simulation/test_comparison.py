@@ -37,6 +37,12 @@ def sea(parameters):
     return sw.Sea.random(parameters.sea, parameters.fluid.gravity)
 
 
+@pytest.fixture(scope="module")
+def found(parameters, sea):
+    """The baseline beside an arm that holds its posture."""
+    return sw.compare(parameters, sea, P3, ["baseline", Posture])
+
+
 @pytest.fixture
 def posture(monkeypatch):
     """The controllers with one more; its class is made of the scenario."""
@@ -68,8 +74,7 @@ def test_a_name_that_is_not_there_is_refused_with_those_that_are(parameters, sea
         sw.compare(parameters, sea, P3, ["pid"])
 
 
-def test_errors_are_those_of_the_runs_whole_and_settled(parameters, sea):
-    found = sw.compare(parameters, sea, P3, ["baseline", Posture])
+def test_errors_are_those_of_the_runs_whole_and_settled(found):
     errors = found.errors()
     for name, run in found.runs.items():
         distance = np.linalg.norm(run.tips[:, -1] - P3, axis=1)
@@ -100,8 +105,7 @@ def test_two_controllers_of_one_name_need_another(parameters, sea):
     assert list(sw.compare(parameters, sea, P3, [one, other]).runs) == ["Posture", "other"]
 
 
-def test_a_plot_shows_every_error_over_time_below_the_elevation(parameters, sea):
-    found = sw.compare(parameters, sea, P3, ["baseline", Posture])
+def test_a_plot_shows_every_error_over_time_below_the_elevation(found, sea):
     above, below = found.plot()
     (line,) = above.lines
     np.testing.assert_allclose(line.get_ydata(), sea.elevation(0.0, line.get_xdata()))
@@ -111,8 +115,7 @@ def test_a_plot_shows_every_error_over_time_below_the_elevation(parameters, sea)
     plt.close(above.figure)
 
 
-def test_a_film_moves_every_arm_to_its_tip_of_that_time(parameters, sea):
-    found = sw.compare(parameters, sea, P3, ["baseline", Posture])
+def test_a_film_moves_every_arm_to_its_tip_of_that_time(found):
     film = found.animate()
     film._draw_was_started = True  # as far as its warning is concerned
     *_, last = film.new_saved_frame_seq()

@@ -8,7 +8,7 @@ import pytest
 
 from softwave_min.arm.mechanics import Structure
 from softwave_min.paper.cases import wave_cases
-from softwave_min.waves import Sea, Spectrum, jonswap_density, wave_number
+from softwave_min.waves import Sea, Spectrum, jonswap_density
 
 GRAVITY = 9.81
 BASE = (0.0, -4.0)
@@ -163,14 +163,6 @@ def test_seas_of_one_seed_are_proportional_to_height(parameters):
     low = Sea.random(replace(parameters, significant_height=0.5), GRAVITY).elevation(0.0, t)
     high = Sea.random(replace(parameters, significant_height=3.0), GRAVITY).elevation(0.0, t)
     np.testing.assert_allclose(high, 6 * low, atol=1e-12)
-
-
-def test_phases_leave_the_global_generator_alone(parameters):
-    np.random.seed(3)  # noqa: NPY002
-    expected = np.random.random()  # noqa: NPY002
-    np.random.seed(3)  # noqa: NPY002
-    Sea.random(parameters, GRAVITY)
-    assert np.random.random() == expected  # noqa: NPY002
 
 
 def test_a_spectrum_and_the_formula_make_the_same_sea(parameters, sea):
@@ -333,13 +325,6 @@ def test_the_bound_is_the_sum_that_it_says(sea, order, in_time):
         in_delay = (w * half) ** (kept_time + 1) / math.factorial(kept_time + 1)
         expected += strength * (sum(powers[n + 1 :]) + sum(powers[: n + 1]) * in_delay)
     assert error_bound(sea, radius, half, order, in_time) == pytest.approx(expected, rel=1e-9)
-
-
-def test_regular_wave_solves_the_dispersion_relation():
-    wave = Sea.regular(1.0, 6.1, 20.0, GRAVITY)
-    assert wave.wave_number[0] == wave_number(2 * math.pi / 6.1, 20.0, GRAVITY)
-    with pytest.raises(ValueError, match="depth"):
-        Sea.regular(1.0, 6.1, 0.0, GRAVITY)
 
 
 def test_components_must_be_complete():
