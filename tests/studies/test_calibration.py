@@ -90,8 +90,6 @@ def test_the_objective_counts_deviations_in_units_of_their_scale():
         assert far == pytest.approx(2 * 100 - 2, rel=1e-3)
 
 
-
-
 def bowl(run):
     """Numbers that agree with the paper's at one place of the ranges only."""
     shares = [value.share(value_in(run.parameters, value.field)) for value in RANGES]
