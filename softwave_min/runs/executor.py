@@ -12,6 +12,7 @@ import os
 import signal
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from dataclasses import dataclass
@@ -183,6 +184,8 @@ class Processes:
         if self._pool is None:
             from loky import ProcessPoolExecutor  # noqa: PLC0415 - not needed to find all current
 
+            # loky renews a worker that has grown: each new structure of the model stays compiled.
+            warnings.filterwarnings("ignore", message="A worker (was restarted|stopped)")
             self._pool = ProcessPoolExecutor(self.jobs, initializer=_serve, initargs=(os.getpid(),))
         return self._pool
 
