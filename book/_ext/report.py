@@ -217,7 +217,6 @@ def _environment(results: Path) -> str:
             "Platform": "{platform}, {processors} processors".format(**one["machine"]),
             "Solver and plant": one["engine"],
             "Commit": one["commit"][:12],
-            "Lock file (SHA-256)": one["lock"][:12],
             **one["machine"]["libraries"],
         }
         for one in _provenances(results).values()

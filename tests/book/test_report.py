@@ -35,7 +35,6 @@ PROVENANCE = {
     "machine": {"python": "3.1.4", "platform": "Abacus", "processors": 7, "libraries": {"np": "9"}},
     "engine": "by hand",
     "commit": "abcdef0123456789",
-    "lock": "fedcba9876543210",
 }
 
 
