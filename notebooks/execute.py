@@ -161,7 +161,8 @@ def _run(notebook: NotebookNode, folder: Path, log: Path) -> None:
 def sanitised(tree: Any) -> Any:
     """A notebook, or a part of it, without what may differ between two executions."""
     if isinstance(tree, dict):
-        return {key: sanitised(value) for key, value in tree.items()}
+        # Pictures hang on rounding and on wall times; what matters in them is asserted.
+        return {key: sanitised(tree[key]) for key in tree if not key.startswith("image/")}
     if isinstance(tree, list):
         return [sanitised(value) for value in tree]
     if isinstance(tree, str):
