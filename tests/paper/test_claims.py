@@ -37,7 +37,7 @@ from softwave_min.experiments import (
 from softwave_min.experiments.ablation_loops import varied
 from softwave_min.figures import block_diagram
 from softwave_min.paper import claims as stated
-from softwave_min.paper import numbers
+from softwave_min.paper import entries, numbers
 from softwave_min.paper.cases import poses, wave_cases
 from softwave_min.paper.claims import (
     NOT_COMPUTED,
@@ -288,7 +288,8 @@ def test_a_claim_whose_number_or_reason_no_file_has_is_refused(
     def read(path):
         return read_toml(path) | ({without: {}} if path.name == file else {})
 
-    monkeypatch.setattr(stated, "read_toml", read)
+    for module in (stated, entries):
+        monkeypatch.setattr(module, "read_toml", read)
     with pytest.raises(ParameterError, match=complaint):
         claims()
 
