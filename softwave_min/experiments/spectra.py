@@ -1,4 +1,4 @@
-"""The paper's three seas: their JSONSWAP curves and one 60 s record of each.
+"""The paper's three seas: their JONSWAP curves and one 60 s record of each.
 
 A record of six to ten waves tells height and period of its sea with an error that is
 not small. That error is measured: the same estimates are made from many records that
