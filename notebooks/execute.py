@@ -45,8 +45,6 @@ AT_ONCE = 2
 """Notebooks that are executed side by side."""
 LIBRARIES = (*NUMERICAL, "ipykernel", "matplotlib", "nbclient", "pandas")
 """Distributions whose versions decide what a notebook shows."""
-UNDATED = {"SOURCE_DATE_EPOCH": "0"}
-"""Keeps the day of its drawing out of a figure."""
 METADATA = {
     "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
     "language_info": {"file_extension": ".py", "name": "python", "pygments_lexer": "ipython3"},
@@ -152,7 +150,7 @@ def _run(notebook: NotebookNode, folder: Path, log: Path) -> None:
     )
     notebook.cells.append(new_code_cell(NOTE_MODULES))
     try:
-        client.execute(env={**os.environ, **UNDATED, READ_LOG: str(log)})
+        client.execute(env={**os.environ, READ_LOG: str(log)})
     except (CellControlSignal, RuntimeError) as failure:
         raise ExecutionError(str(failure)) from None
     notebook.cells.pop()

@@ -107,11 +107,9 @@ class Store:
         write_atomically(path, content)
 
     def tidy(self) -> None:
-        """Drop the runs that nobody asked for in a long time, and what dead writers left."""
-        runs = self.root / "runs"
-        _drop(runs.glob("*.*"), before=time.time() - KEPT)
-        for folder in (runs, self.folder, self.made.folder):  # no writer takes an hour
-            _drop(folder.glob(f"{UNFINISHED}*"), before=time.time() - HOUR)
+        """Drop what dead writers left of the tables and figures."""
+        for folder in (self.folder, self.made.folder):
+            _drop_unfinished(folder)
 
     def files(self) -> list[Path]:
         """Tables, figures and provenance: all but the runs."""
@@ -193,6 +191,20 @@ def read_table(source: Path | io.StringIO) -> pd.DataFrame:
     import pandas as pd  # noqa: PLC0415 - takes half a second, and most who look need no table
 
     return pd.read_csv(source)
+
+
+def tidy_runs(root: Path) -> None:
+    """Drop the runs in a results folder that nobody asked for in a long time.
+
+    And what dead writers left of them. All experiments share these runs: once for all is enough.
+    """
+    runs = root / "runs"
+    _drop(runs.glob("*.*"), before=time.time() - KEPT)
+    _drop_unfinished(runs)
+
+
+def _drop_unfinished(folder: Path) -> None:
+    _drop(folder.glob(f"{UNFINISHED}*"), before=time.time() - HOUR)  # no writer takes that long
 
 
 def _drop(paths: Iterable[Path], before: float) -> None:

@@ -33,7 +33,7 @@ from softwave_min.runs.executor import (
 )
 from softwave_min.runs.experiment import Experiment, Run
 from softwave_min.runs.plan import Task
-from softwave_min.runs.store import Store, machine, repository_state
+from softwave_min.runs.store import Store, machine, repository_state, tidy_runs
 from softwave_min.runs.tables import make_tables, publish
 
 Draw = Callable[[Store, ParameterSet], None]
@@ -152,6 +152,8 @@ def compute_all(
     for task in plan:
         missing = {run.name: task.store.run_path(run) for run in task.missing}
         shares.append(_Share(task, missing, set(missing.values())))
+    for root in {task.store.root for task in plan}:  # after those that are wanted were asked for
+        tidy_runs(root)
     yield from (_over(share, record) for share in shares if not share.missing)
     with _bar(shares) as bar:
         for path, outcome in _computed({path: run for path, (_, run) in runs.items()}, executor):

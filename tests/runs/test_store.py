@@ -18,7 +18,7 @@ from softwave_min.runs.executor import Processes
 from softwave_min.runs.experiment import Experiment, Run
 from softwave_min.runs.identity import run_identity
 from softwave_min.runs.plan import Freshness, Task
-from softwave_min.runs.store import Store, read_table, table_text, write_atomically
+from softwave_min.runs.store import Store, read_table, table_text, tidy_runs, write_atomically
 from softwave_min.runs.sweep import SweepError, compute, compute_all
 from softwave_min.studies.catalogue import NAMES, experiment
 
@@ -213,7 +213,7 @@ def test_a_run_goes_when_nobody_asked_for_it_in_a_long_time(shelf):
     for path in shelf.root.glob("runs/*"):
         os.utime(path, (0, 0))
     assert shelf.has(used)
-    shelf.tidy()
+    tidy_runs(shelf.root)
     assert [shelf.has(run) for run in (used, vanished)] == [True, False]
     assert len(list(shelf.root.glob("runs/*"))) == 2  # a run and its record
 
